@@ -22,6 +22,7 @@ struct ApiAccess {
   GatewayAccess gateways;
   WorkerAccess workers;
   std::chrono::milliseconds wrong_token_pause{1'000};
+  rpc::CallLimits::Options viewers{};  ///< how many calls each viewer may make
   PluginUploads::Options uploads{};
 };
 

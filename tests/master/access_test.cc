@@ -32,6 +32,7 @@ namespace {
 
 using apache::thrift::TApplicationException;
 using apache::thrift::TException;
+using apache::thrift::transport::TTransportException;
 using discovery::wire::TResponse;
 using discovery::wire::TResponseState;
 using rpc::RefusalForm;
@@ -86,12 +87,12 @@ class Access : public testing::Test {
     admin_ = security::add_token(tokens_file_, "anna", Role::admin);
     tokens_ = std::make_shared<security::TokenKeeper>(tokens_file_, "api", clock_, metrics_);
     audit_ = std::make_shared<security::AuditLog>(audit_file_);
-    ApiAccess access;
-    access.tokens = tokens_;
-    access.audit = audit_;
-    access.wrong_token_pause = std::chrono::milliseconds{1};
-    server_.emplace(rpc::ThriftServerOptions{}, serve_api(*master_, access));
+    access_.tokens = tokens_;
+    access_.audit = audit_;
+    access_.wrong_token_pause = std::chrono::milliseconds{1};
+    serve({});
   }
+  void serve(const rpc::ThriftServerOptions& options) { server_.emplace(options, serve_api(*master_, access_)); }
 
   /// A connection of its own, opened with the token.
   wire::TMasterAPIServiceClient connect(const std::string& token = "") {
@@ -134,6 +135,7 @@ class Access : public testing::Test {
   config::Metrics metrics_;
   std::shared_ptr<security::TokenKeeper> tokens_;
   std::shared_ptr<security::AuditLog> audit_;
+  ApiAccess access_;
   const std::string url_ = test::fresh_registry_url();
   TestMaster master_{url_};
   FakeGateway gateway_{url_, "lab1"};
@@ -387,6 +389,88 @@ TEST_F(Access, WithAFullDiskOrdersAreRefusedIfTheSettingsSaySo) {
   client.giveOrder(answer, "deploy", R"({"plugin": "turtle.so", "gateways": ["lab1"]})");
   EXPECT_THAT(answer.response.statusMessage, HasSubstr("the audit log cannot be written"));
   EXPECT_EQ(gateway_.orders_seen(), before);
+}
+
+/// What one caller may take of the API, shown at a server with low limits.
+class LimitedAccess : public Access {
+ protected:
+  /// \return why the call was refused; empty: it was answered
+  static std::string refusal(wire::TMasterAPIServiceClient& client) {
+    try {
+      wire::TMasterStatus status;
+      client.getStatus(status);
+      return "";
+    } catch (const wire::TMasterError& error) {
+      return error.reason;
+    }
+  }
+  static bool is_answered(wire::TMasterAPIServiceClient& client) {
+    try {
+      return refusal(client).empty();
+    } catch (const TException&) {
+      return false;
+    }
+  }
+  /// Waits until the server closes the connection. \return false if it does not, or says something
+  static bool is_closed(wire::TMasterAPIServiceClient& client) {
+    std::uint8_t byte = 0;
+    try {
+      return client.getInputProtocol()->getTransport()->read(&byte, 1) == 0;
+    } catch (const TTransportException& error) {
+      return error.getType() == TTransportException::END_OF_FILE;
+    }
+  }
+  const std::string other_ = security::add_token(tokens_file_, "vito", Role::viewer);
+};
+
+TEST_F(LimitedAccess, AViewerWhoCallsTooOftenIsRefusedOnAllConnectionsAndOthersAreAnswered) {
+  access_.viewers.burst = 3;
+  access_.viewers.per_second = 0.001;
+  access_.viewers.longest_wait = std::chrono::milliseconds{0};
+  serve({});
+  tokens_->reload();
+  auto first = connect(viewer_), other = connect(other_), admin = connect(admin_);
+  const auto before = refused("rate");
+  int answered = 0;
+  while (answered < 100 && refusal(first).empty()) ++answered;
+  EXPECT_THAT(answered, AllOf(testing::Ge(1), testing::Le(4)));
+  EXPECT_EQ(refused("rate"), before + 1);
+  auto second = connect(viewer_);
+  EXPECT_THAT(refusal(second), HasSubstr("vera makes too many calls"));
+  EXPECT_EQ(refusal(other), "");
+  for (int i = 0; i < 20; ++i) EXPECT_EQ(refusal(admin), "");
+}
+
+TEST_F(LimitedAccess, OneTokenHasSoManyConnectionsAndTakesNobodysPlace) {
+  rpc::ThriftServerOptions options;
+  options.max_connections = 8;
+  options.max_connections_of_one = 3;
+  serve(options);
+  auto admin = connect(admin_);
+  ASSERT_TRUE(is_answered(admin));
+  std::vector<wire::TMasterAPIServiceClient> all;
+  for (int i = 0; i < 20; ++i) {
+    all.push_back(connect(viewer_));
+    ASSERT_TRUE(is_answered(all.back()));
+  }
+  auto operating = connect(operating_);  // the server looks when the next one comes
+  EXPECT_TRUE(is_answered(operating));
+  EXPECT_TRUE(is_answered(admin));
+  for (std::size_t i = 0; i < 17; ++i) EXPECT_TRUE(is_closed(all[i])) << i;
+  for (std::size_t i = 17; i < 20; ++i) EXPECT_TRUE(is_answered(all[i])) << i;
+}
+
+TEST_F(LimitedAccess, OneThatSaysNothingIsClosedWithATokenToo) {
+  rpc::ThriftServerOptions without_token;
+  without_token.stranger_limit = std::chrono::milliseconds{50};
+  serve(without_token);
+  auto stranger = connect();
+  EXPECT_TRUE(is_closed(stranger));
+  rpc::ThriftServerOptions with_token;
+  with_token.idle_limit = std::chrono::milliseconds{50};
+  serve(with_token);
+  auto idle = connect(admin_);
+  EXPECT_TRUE(is_closed(idle));
 }
 
 TEST_F(Access, AViewersFloodOfRefusedCallsFillsNoDisk) {
