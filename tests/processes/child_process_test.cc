@@ -37,7 +37,7 @@ class ChildProcessTest : public ::testing::Test {
 TEST_F(ChildProcessTest, WritesToTheEndOfItsLogAndItsStatusIsKnown) {
   std::ofstream(log_) << "before\n";
   const auto child = start("echo out; echo err >&2; exit 3");
-  ASSERT_TRUE(child.wait(20s));
+  ASSERT_TRUE(child.wait(tests::patience));
   EXPECT_EQ(child.how_it_ended(), "exited with status 3");
   EXPECT_EQ(tests::read_file(log_), "before\nout\nerr\n");
 }
@@ -46,7 +46,7 @@ TEST_F(ChildProcessTest, GoesOnUntilItIsKilled) {
   const auto child = start("echo up; exec sleep 600");
   EXPECT_FALSE(child.wait(10ms));
   child.kill();
-  ASSERT_TRUE(child.wait(20s));
+  ASSERT_TRUE(child.wait(tests::patience));
   EXPECT_THAT(child.how_it_ended(), HasSubstr("crashed (signal 9"));
   child.kill();  // nothing more happens
 }
@@ -59,7 +59,7 @@ TEST_F(ChildProcessTest, IsKnownByAnArgumentThatOnlyItWasGiven) {
   EXPECT_EQ(has_argument(child.id(), "abc.soc"), false);
   EXPECT_EQ(has_argument(getpid(), "abc.sock"), false);
   child.kill();
-  ASSERT_TRUE(child.wait(20s));
+  ASSERT_TRUE(child.wait(tests::patience));
   EXPECT_EQ(has_argument(child.id(), "abc.sock"), false) << "it has ended";
   EXPECT_THAT(child.how_it_ended(), HasSubstr("signal 9"));
   EXPECT_EQ(has_argument(child.id(), "abc.sock"), false) << "there is no such process";
@@ -90,7 +90,7 @@ TEST_F(ChildProcessTest, InheritsNoDescriptorAndNoBlockedSignal) {
   pthread_sigmask(SIG_SETMASK, &before, nullptr);
   close(pipe_ends[0]);
   close(pipe_ends[1]);
-  ASSERT_TRUE(child.wait(20s));
+  ASSERT_TRUE(child.wait(tests::patience));
   EXPECT_THAT(child.how_it_ended(), HasSubstr("crashed (signal 15"));
   EXPECT_EQ(tests::read_file(log_), "");
 }
@@ -99,7 +99,7 @@ TEST_F(ChildProcessTest, OneOfAnEarlierLifeCanBeEndedButNotAskedHow) {
   const int process = spawn({"/bin/sh", "-c", "exec sleep 600"}, log_);
   const ChildProcess adopted(process, false);
   adopted.kill();
-  EXPECT_TRUE(adopted.wait(20s));
+  EXPECT_TRUE(adopted.wait(tests::patience));
   EXPECT_EQ(adopted.how_it_ended(), "died");
   EXPECT_THAT(ChildProcess(process, true).how_it_ended(), HasSubstr("signal 9"));
 }

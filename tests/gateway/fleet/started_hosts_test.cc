@@ -138,7 +138,7 @@ TEST_F(StartedHosts, AreEndedWithTheRightsOfTheirUserOnly) {
   const processes::OwnedDescriptor log(open("/dev/null", O_WRONLY | O_CLOEXEC));
   auto started = starter->start({"", "--check", "/nowhere.so"}, {}, log, log);
   const processes::ChildProcess checked(std::move(started), starter);
-  EXPECT_TRUE(checked.wait(std::chrono::seconds{20}));
+  EXPECT_TRUE(checked.wait(tests::patience));
   EXPECT_EQ(checked.how_it_ended(), "exited with status 1");
   const processes::OwnedDescriptor of_root(static_cast<int>(syscall(SYS_pidfd_open, getpid(), 0)));
   EXPECT_FALSE(starter->kill(of_root.get())) << "a process of root, such as this one";
