@@ -10,13 +10,13 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 import unittest
 from pathlib import Path
 
+from leftovers import left_behind
+
 HERE = Path(__file__).resolve().parent
 SKIPPED = 77  # what ctest reports as skipped
-END_LIMIT_S = 60
 
 
 class Script:
@@ -40,19 +40,6 @@ class Script:
         last = self.process.stdout.read().strip()
         self.process.stdout.close()
         return last, self.process.wait()
-
-    def left_behind(self):
-        """Processes that know the folder, by their arguments or environment."""
-        found = []
-        for entry in Path("/proc").iterdir():
-            if entry.name.isdigit() and int(entry.name) != os.getpid():
-                try:
-                    known = (entry / "cmdline").read_bytes() + (entry / "environ").read_bytes()
-                except OSError:
-                    continue  # the process has ended, or belongs to another user
-                if self.folder.encode() in known:
-                    found.append(entry.name)
-        return found
 
 
 def command_line(process):
@@ -81,11 +68,7 @@ class ServersTest(unittest.TestCase):
             self.all_end(server)
 
     def all_end(self, server):
-        """Waits a moment for the kernel, and for Erlang's helpers, which end when their pipe closes."""
-        limit = time.monotonic() + END_LIMIT_S
-        while (left := server.left_behind()) and time.monotonic() < limit:
-            time.sleep(0.02)
-        self.assertEqual([command_line(process) for process in left], [])
+        self.assertEqual(left_behind(server.folder), {})
 
     def test_rabbitmq(self):
         self.obeys("rabbitmq.py")

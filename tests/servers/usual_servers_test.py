@@ -1,6 +1,5 @@
 #!/usr/bin/python3
 """./dev servers up, status, down: the servers answer in the background, and nothing is left of them."""
-import os
 import socket
 import subprocess
 import tempfile
@@ -8,22 +7,9 @@ import unittest
 from pathlib import Path
 
 import private_server
+from leftovers import left_behind
 
 SCRIPT = Path(__file__).resolve().parent / "usual_servers.py"
-
-
-def processes_of(folder):
-    """Those that name the folder in their arguments or environment."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit() and int(entry.name) != os.getpid():
-            try:
-                known = (entry / "cmdline").read_bytes() + (entry / "environ").read_bytes()
-            except OSError:
-                continue  # it has ended, or belongs to another user
-            if folder.encode() in known:
-                found.append(entry.name)
-    return found
 
 
 class UsualServers(unittest.TestCase):
@@ -47,12 +33,12 @@ class UsualServers(unittest.TestCase):
         self.assertEqual(up.stdout.split(), ["amqp://guest:guest@127.0.0.1:%d/" % self.ports[0],
                                              "zookeeper://127.0.0.1:%d" % self.ports[1]])
         for port in self.ports:
-            socket.create_connection(("127.0.0.1", port), timeout=5).close()
+            socket.create_connection(("127.0.0.1", port), timeout=60).close()
         self.assertEqual(self.run_script("status").returncode, 0)
         again = self.run_script("up")
         self.assertEqual((again.returncode, "run already" in again.stdout), (0, True), again.stderr)
         self.assertEqual(self.run_script("down").returncode, 0)
-        self.assertEqual(processes_of(self.folder), [])
+        self.assertEqual(left_behind(self.folder), {})
         self.assertEqual(self.run_script("down").returncode, 0)
 
     def test_a_port_that_is_in_use_is_named(self):
