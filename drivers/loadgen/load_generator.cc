@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <fstream>
 #include <random>
@@ -167,10 +168,13 @@ void LoadGenerator::report() {
                                       {"max", latencies.quantile_us(1)}}}};
   context_->log(LogLevel::info, "round trips: " + json.dump());
   if (options_.report.empty()) return;
-  std::ofstream file(options_.report, std::ios::trunc);
+  // Whoever reads it sees a whole report, this one or the one before.
+  const std::string unfinished = options_.report + ".unfinished";
+  std::ofstream file(unfinished, std::ios::trunc);
   file << json.dump(2) << '\n';
   file.close();
-  if (!file) context_->log(LogLevel::error, "cannot write the report \"" + options_.report + "\"");
+  if (!file || std::rename(unfinished.c_str(), options_.report.c_str()) != 0)
+    context_->log(LogLevel::error, "cannot write the report \"" + options_.report + "\"");
 }
 
 }  // namespace iotcloud::drivers::loadgen

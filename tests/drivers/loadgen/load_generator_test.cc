@@ -111,6 +111,18 @@ TEST_F(LoadGeneratorTest, reports_as_soon_as_all_are_back) {
   EXPECT_EQ(report()["latency_us"].size(), 5);
 }
 
+TEST_F(LoadGeneratorTest, leaves_the_report_that_somebody_reads_as_it_is_when_it_writes_a_newer_one) {
+  auto& load = start({{"rate", "1000"}, {"count", "3"}});
+  host->advance(1s);
+  const auto sent = host->published("data");
+  for (const auto& published : sent) ASSERT_TRUE(load.deliver("echo", published.message));
+  std::ifstream reader(path());
+  ASSERT_TRUE(load.deliver("echo", sent[0].message));  // a late duplicate
+  EXPECT_EQ(nlohmann::json::parse(reader)["duplicated"], 0);
+  EXPECT_EQ(report()["duplicated"], 1);
+  EXPECT_FALSE(std::filesystem::exists(path() + ".unfinished"));
+}
+
 TEST_F(LoadGeneratorTest, goes_on_counting_after_a_pause) {
   auto& load = start({{"rate", "10"}});
   host->advance(1s);
