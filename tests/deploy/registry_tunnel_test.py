@@ -17,15 +17,13 @@ import threading
 import time
 import unittest
 
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent / "servers"))
+
+from private_server import free_ports  # noqa: E402
+
 DEPLOY, IOTCLOUD = pathlib.Path(sys.argv[1]), sys.argv[2]
 CONFIGURATION = DEPLOY / "systemd/registry-tunnel.conf"
-LIMIT_S = 30
-
-
-def free_port():
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
+LIMIT_S = 120
 
 
 class PlainServer:
@@ -84,7 +82,7 @@ class Tunnel(unittest.TestCase):
 
     def start(self, port, name="localhost"):
         """Starts stunnel with the shipped file, on ports of this test, to a server that must have this name."""
-        accept = free_port()
+        accept = free_ports(1)[0]
         text = CONFIGURATION.read_text().replace("/etc/iotcloud", str(self.folder))
         for there, here in (("127.0.0.1:2181", f"127.0.0.1:{accept}"), ("connect = zk1:2281", f"connect = 127.0.0.1:{port}"),
                             ("checkHost = zk1", f"checkHost = {name}")):
@@ -150,7 +148,7 @@ class Tunnel(unittest.TestCase):
 
     def test_the_clusters_two_ends_fit_and_take_no_strangers(self):
         behind = PlainServer()
-        ends, inner = free_port(), free_port()
+        ends, inner = free_ports(2)
         server = {"accept = 2281": f"accept = 127.0.0.1:{inner}", "zookeeper:2181": f"127.0.0.1:{behind.port}"}
         client = {"127.0.0.1:2181": f"127.0.0.1:{ends}", "connect = registry-tls:2281": f"connect = 127.0.0.1:{inner}"}
         self.certs("add", "registry-tls", "master-1")
@@ -159,20 +157,20 @@ class Tunnel(unittest.TestCase):
         self.assertEqual(self.ask(ends), b"RUOK")
         self.folder = self.folder.with_name("strangers")
         self.certs("init", "master-1")
-        client["127.0.0.1:2181"] = f"127.0.0.1:{(stranger := free_port())}"
+        client["127.0.0.1:2181"] = f"127.0.0.1:{(stranger := free_ports(1)[0])}"
         self.of_cluster("registry-tunnel.conf", "master-1", client)
         self.assertEqual(self.ask(stranger), b"")
         self.assertEqual(behind.heard, b"ruok")
 
     def test_the_clusters_end_takes_no_revoked_certificate_once_it_was_told_to_read_the_list(self):
         behind = PlainServer()
-        inner = free_port()
+        inner = free_ports(1)[0]
         server = {"accept = 2281": f"accept = 127.0.0.1:{inner}", "zookeeper:2181": f"127.0.0.1:{behind.port}"}
         self.certs("add", "registry-tls", "gateway-1", "gateway-2")
         tunnel = self.of_cluster("registry-tls.conf", "registry-tls", server)
         ends = {}
         for gateway in ("gateway-1", "gateway-2"):
-            ends[gateway] = free_port()
+            ends[gateway] = free_ports(1)[0]
             self.of_cluster("registry-tunnel.conf", gateway, {"127.0.0.1:2181": f"127.0.0.1:{ends[gateway]}",
                                                               "connect = registry-tls:2281": f"connect = 127.0.0.1:{inner}"})
             self.assertEqual(self.ask(ends[gateway]), b"RUOK")

@@ -32,7 +32,4 @@ class RunningProgram {
   int process_ = 0;
 };
 
-/// A port of the loopback interface on which nobody listens now.
-int free_port();
-
 }  // namespace iotcloud::master::test

@@ -8,7 +8,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/master_service.h>
-#include <iotcloud/tests/master/process.h>
+#include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::master {
 namespace {
@@ -121,7 +121,7 @@ TEST(MasterService, APortInUseStopsTheStartCleanly) {
   config.registry.url = "embedded://master-service-" + std::to_string(getpid());
   config.sensors_root = "/iot/sensors";
   config.api.port = 0;
-  config.gateways = rpc::ListenSettings{"127.0.0.1", test::free_port(), {}, "", ""};
+  config.gateways = rpc::ListenSettings{"127.0.0.1", tests::free_port(), {}, "", ""};
   auto first = make_master_service(config);
   first->start();
   auto second = make_master_service(config);

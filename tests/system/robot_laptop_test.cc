@@ -15,9 +15,9 @@
 #include <unistd.h>
 
 #include <iotcloud/drivers/turtle/recording/recording.h>
-#include <iotcloud/drivers/turtle/robot/address.h>
 #include <iotcloud/tests/drivers/turtle/scratch_folder.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/servers/free_port.h>
 #include <iotcloud/tests/system/trace.h>
 #include <iotcloud/topology/local/local_cluster.h>
 
@@ -58,10 +58,7 @@ class Laptop {
 };
 
 std::string free_address() {
-  const int listener = drivers::turtle::robot::listen_at("127.0.0.1:0");
-  const std::string address = drivers::turtle::robot::address_of(listener);
-  close(listener);
-  return address;
+  return "127.0.0.1:" + std::to_string(tests::free_port());
 }
 
 /// A cluster of this process with the follower and one turtle.

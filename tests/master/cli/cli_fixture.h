@@ -12,6 +12,7 @@
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/master/process.h>
+#include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::master::test {
 
@@ -26,7 +27,7 @@ class Cli : public ::testing::Test {
       master.reset();
       auto options = TestMaster::quick();
       rpc::ThriftServerOptions listen;
-      listen.port = free_port();
+      listen.port = iotcloud::tests::free_port();
       options.address = "127.0.0.1:" + std::to_string(listen.port);
       master.emplace(url, options);
       try {

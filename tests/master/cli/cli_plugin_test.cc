@@ -10,6 +10,7 @@
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 #include <iotcloud/tests/master/cli/receiving_gateway.h>
+#include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::master::test {
 namespace {
@@ -103,7 +104,7 @@ TEST_F(CliPlugin, AGatewayThatDoesNotTakeItIsAFailedOutcomeAndTheOthersRunIt) {
 
 TEST_F(CliPlugin, AGatewayThatCannotBeReachedIsNamed) {
   const FakeGateway far(url, "far");
-  serve_at(url, "far", free_port());
+  serve_at(url, "far", tests::free_port());
   const auto done = run({"deploy", "--plugin", write("turtle.so", "abc"), "-g", "far"});
   EXPECT_EQ(done.status, 1);
   EXPECT_THAT(done.out, AllOf(HasSubstr("far"), HasSubstr("failed"), HasSubstr("does not answer")));

@@ -17,6 +17,7 @@
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/master/process.h>
 #include <iotcloud/tests/security/certificates.h>
+#include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::master::test {
 namespace {
@@ -161,7 +162,7 @@ TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
   config.registry.url = "embedded://cli-security-" + std::to_string(getpid());
   config.sensors_root = "/iot/sensors";
   config.api = {"0.0.0.0",
-                free_port(),
+                tests::free_port(),
                 {certs + "/ca.pem", certs + "/lab1.pem", certs + "/lab1.key"},
                 folder_ / "tokens",
                 "localhost:1"};

@@ -17,6 +17,7 @@
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
+#include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::master {
 namespace {
@@ -148,7 +149,7 @@ class OriginalGatewayTest : public testing::Test {
     for_gateways.emplace(rpc::ThriftServerOptions{},
                          serve_original_gateways(*originals, [this] { return (*master)->status(); }));
     gateway = std::make_shared<OriginalGateway>(for_gateways->port());
-    serve_gateway(0);
+    serve_gateway(iotcloud::tests::free_port());  // one that nobody takes while the gateway is away
   }
   ~OriginalGatewayTest() override {
     for_gateways.reset();

@@ -13,6 +13,7 @@
 #include <iotcloud/drivers/turtle/turtle_driver.h>
 #include <iotcloud/tests/drivers/turtle/reference_follower.h>
 #include <iotcloud/tests/drivers/turtle/robot/peer.h>
+#include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::drivers::turtle::robot {
 namespace {
@@ -236,8 +237,9 @@ TEST_F(AgentTest, notices_a_link_that_is_dead_and_is_heard_itself) {
 }
 
 TEST_F(AgentTest, tries_again_until_there_is_a_driver_and_says_so_once) {
-  const std::string address = options_.driver;
   close(listener_);
+  const std::string address = "127.0.0.1:" + std::to_string(iotcloud::tests::free_port());
+  options_.driver = address;
   start();
   ASSERT_TRUE(until([&] { return log_.find("no connection") != std::string::npos; }));
   ASSERT_TRUE(until([&] { return agent_->counts().attempts >= 4; }));
