@@ -163,10 +163,7 @@ TEST_F(LocalMode, GivesAMessageUpAfterItsLastTryAndGoesOn) {
   local::LocalCluster cluster(options);
   run(cluster);
   const auto id = cluster.deploy("pinger", {{"count", "1"}});
-  const auto deadline = std::chrono::steady_clock::now() + std::chrono::seconds(20);
-  while (metric("iotcloud_spout_rejected_total") < 1 && std::chrono::steady_clock::now() < deadline) {
-    std::this_thread::yield();
-  }
+  EXPECT_TRUE(tests::eventually([&] { return metric("iotcloud_spout_rejected_total") >= 1; }));
   EXPECT_EQ(metric("iotcloud_spout_rejected_total"), 1);
   EXPECT_THAT(Answers::get().of(id), IsEmpty());
   const auto next = cluster.deploy("pinger", {{"count", "10"}});

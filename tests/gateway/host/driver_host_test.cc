@@ -217,7 +217,7 @@ TEST_F(DriverHostTest, TheQueueOfAnUndeployedInstancesOwnChannelGoesAndThatOfARe
   host_->remove("undeployed"_instance, Removal::undeployed);
   ASSERT_TRUE(log_.wait_for("undeployed", DriverState::undeployed));
   EXPECT_TRUE(tests::eventually([&] { return !server.has_queue("gw.probe.undeployed.control", ""); }));
-  ASSERT_TRUE(host_->stop(5s));
+  ASSERT_TRUE(host_->stop(120s));
   EXPECT_TRUE(server.has_queue("gw.probe.replaced.control", ""));
 }
 
@@ -799,7 +799,7 @@ TEST_F(DriverHostTest, AnInstanceWithItsOwnThreadMayBlockWithoutHoldingOthersUp)
 TEST_F(DriverHostTest, StoppingRemovesEveryInstance) {
   start_host(probe_);
   for (const std::string id : {"a", "b", "c"}) host_->create(spec(id));
-  EXPECT_TRUE(host_->stop(20s));
+  EXPECT_TRUE(host_->stop(120s));
   for (const std::string id : {"a", "b", "c"}) EXPECT_EQ(log_.states(id).back(), DriverState::undeployed) << id;
   host_->create(spec("d"));
   EXPECT_TRUE(host_->list().empty());

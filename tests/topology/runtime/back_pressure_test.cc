@@ -95,7 +95,7 @@ TEST(BackPressure, ASpoutIsNotAskedWhileWhatItFeedsIsFullAndIsTold) {
   go = true;
   reader.join();
   EXPECT_TRUE(eventually([&] { return source->waiting() == 0; }));
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
   const auto calls = source->calls();
   EXPECT_NE(std::find(calls.begin(), calls.end(), "unthrottled"), calls.end());
   EXPECT_EQ(source->acked().size(), runtime.snapshot().component("slow").acked);
@@ -153,7 +153,7 @@ TEST(BackPressure, AcksPassAFullQueue) {
   go = true;
   waker.join();
   EXPECT_TRUE(eventually([&] { return source->acked().size() == 50; }));
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
 }
 
 TEST(BackPressure, ManyEmittersIntoOneSlowTaskAllFinish) {
@@ -179,7 +179,7 @@ TEST(BackPressure, ManyEmittersIntoOneSlowTaskAllFinish) {
   EXPECT_TRUE(eventually([&] { return sink->size() == emitters * each; }));
   done = true;
   waker.join();
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
 }
 
 }  // namespace

@@ -338,7 +338,7 @@ TEST(ReliabilityUnderThreads, AcksFromOtherThreadsAccountForEveryTuple) {
     done = true;
   }
   EXPECT_EQ(runtime.snapshot().component("in").pending, 0U);
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
 }
 
 }  // namespace

@@ -28,7 +28,7 @@ TEST(Runtime, RunsAChainOnTheThreadThatWakesTheSpout) {
   ASSERT_EQ(sink->size(), 1U);  // done when put() returns
   EXPECT_EQ(sink->items[0].thread, std::this_thread::get_id());
   EXPECT_THAT(source->acked(), ElementsAre(1));
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
 }
 
 TEST(Runtime, CallsASpoutsLifeInOrder) {
@@ -313,7 +313,7 @@ TEST(Runtime, StopDrainsWhatIsUnderWay) {
   runtime.start();
   for (int i = 0; i < 10000; ++i) source->lay(Values(i));
   source->wake();
-  EXPECT_TRUE(runtime.stop(20s));
+  EXPECT_TRUE(runtime.stop(120s));
   const Snapshot snapshot = runtime.snapshot();
   EXPECT_EQ(snapshot.component("in").emitted, sink->size());
   EXPECT_EQ(source->acked().size(), sink->size());

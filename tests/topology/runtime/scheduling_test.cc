@@ -42,7 +42,7 @@ TEST(Scheduling, ATasksCallsNeverOverlapUnderManyWakers) {
     }
   }
   EXPECT_TRUE(eventually([&] { return source->acked().size() == wakers * each; }));
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
   EXPECT_EQ(unguarded, wakers * each);
   EXPECT_EQ(overlaps, 0);
 }
@@ -77,7 +77,7 @@ TEST(Scheduling, HandsTheRestToThePoolWhileABoltIsLong) {
   EXPECT_TRUE(eventually([&] { return quick_ran.load(); }));  // while the reader is still in "long", or after it
   may_end.count_down();
   reader.join();
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
   EXPECT_NE(quick_thread, long_thread);
 }
 
@@ -97,7 +97,7 @@ TEST(Scheduling, WakeReturnsAfterItsSliceAndThePoolDoesTheRest) {
   for (int i = 0; i < 1000; ++i) source->lay(Values(i));
   source->wake();
   EXPECT_TRUE(eventually([&] { return sink->size() == 1000; }));
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
   std::int64_t expected = 0;
   for (const std::int64_t number : sink->numbers()) EXPECT_EQ(number, expected++);  // order is kept across threads
   EXPECT_NE(sink->items.back().thread, std::this_thread::get_id());
@@ -156,7 +156,7 @@ TEST(Scheduling, ThousandsOfTasksWork) {
   runtime.start();
   for (int i = 0; i < 2000; ++i) source->put(Values(i));
   EXPECT_TRUE(eventually([&] { return source->acked().size() == 2000; }));
-  EXPECT_TRUE(runtime.stop(5s));
+  EXPECT_TRUE(runtime.stop(120s));
   EXPECT_EQ(sink->size(), 2000U);
 }
 
