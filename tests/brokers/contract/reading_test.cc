@@ -264,25 +264,34 @@ TEST_P(BrokerContract, KeepLastHandsOnOnlyTheNewestOfWhatWaits) {
   options.keep_last = 3;
   const auto subscription = broker->subscribe(topic, options, inbox.handler());
   await_active(*subscription);
-  subscription->pause();
   const auto publisher = broker->publisher(topic, {});
-  for (const auto& body : numbered(1, 50)) publisher->publish(text_message(body));
-  ASSERT_TRUE(publisher->drain(patience));
-  // A confirmed message is at the server. When a message sent later on another topic has arrived, some of the first
-  // topic's are here; all of them are if both topics are in one place.
   const Topic later = this->topic();
   Inbox fence;
   const auto other = broker->subscribe(later, {}, fence.handler());
   const auto fence_publisher = broker->publisher(later, {});
-  fence_publisher->publish(text_message("x"));
-  ASSERT_TRUE(fence.wait_for(1));
-  subscription->resume();
-  ASSERT_TRUE(inbox.wait_for_last("50"));
-  const auto bodies = firsts(inbox);
-  EXPECT_LE(bodies.size(), server().process() == nullptr ? 3U : 49U) << "what waited was to be skipped";
+  int sent = 0;
+  std::vector<std::string> bodies;
+  do {
+    ASSERT_LT(sent, 1000) << "what waited was to be skipped";
+    subscription->pause();
+    for (const auto& body : numbered(sent + 1, sent + 50)) publisher->publish(text_message(body));
+    sent += 50;
+    ASSERT_TRUE(publisher->drain(patience));
+    // A confirmed message is at the server. When a message sent later on another topic has arrived, all of the first
+    // topic's are here if both topics are in one place. Of a server some are, unless it or this machine is busy: then
+    // once more.
+    fence_publisher->publish(text_message("x"));
+    ASSERT_TRUE(fence.wait_for(static_cast<std::size_t>(sent / 50)));
+    subscription->resume();
+    ASSERT_TRUE(inbox.wait_for_last(std::to_string(sent)));
+    bodies = firsts(inbox);
+  } while (server().process() != nullptr && bodies.size() == static_cast<std::size_t>(sent));
+  if (server().process() == nullptr) {
+    EXPECT_LE(bodies.size(), 3U) << "what waited was to be skipped";
+  }
   EXPECT_GE(bodies.size() + metrics.counter("iotcloud_broker_conflated_total", "", {{"broker", GetParam()}}).value(),
-            50U);
-  EXPECT_EQ(std::vector<std::string>(bodies.end() - 3, bodies.end()), numbered(48, 50));
+            static_cast<std::size_t>(sent));
+  EXPECT_EQ(std::vector<std::string>(bodies.end() - 3, bodies.end()), numbered(sent - 2, sent));
 }
 
 TEST_P(BrokerContract, TheDestructorOfASubscriptionWaitsForItsHandler) {

@@ -1,8 +1,11 @@
 // The connections of one broker object: urgent channels have their own, and many subscriptions need several.
+#include <atomic>
+#include <cstddef>
 #include <future>
 #include <map>
 #include <memory>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -77,26 +80,36 @@ TEST_F(RabbitMqConnections, AControlMessageDoesNotWaitBehindBulkData) {
   SubscriptionOptions all;
   all.prefetch = 300;
   const auto bulk_reader = broker->subscribe(topic("bulk"), all, bulk.handler());
+  std::atomic<std::size_t> bulk_before{0};  // what had come when the newest control message came
   Inbox control;
   SubscriptionOptions urgent;
   urgent.priority = urgent_priority;
-  const auto control_reader = broker->subscribe(topic("control"), urgent, control.handler());
+  const auto control_reader =
+      broker->subscribe(topic("control"), urgent, [&, keep = control.handler()](Delivery delivery) {
+        bulk_before = bulk.size();
+        keep(std::move(delivery));
+      });
   PublisherOptions sending;
   sending.priority = urgent_priority;
   const auto controller = broker->publisher(topic("control"), sending);
   ASSERT_TRUE(eventually([&] { return bulk_reader->active() && control_reader->active(); }));
   const auto publisher = broker->publisher(topic("bulk"), {});
   const Payload large = Payload::copy(std::string(1'000'000, 'b'));
-  for (int i = 0; i < bulk_messages; ++i) {
-    ASSERT_EQ(publisher->publish(Message{large, "driver", "", 0, {}}), PublishStatus::accepted);
+  // On a busy machine all bulk data may be through before the control message is sent; never again and again.
+  bool overtook = false;
+  for (std::size_t round = 1; round <= 5 && !overtook; ++round) {
+    for (int i = 0; i < bulk_messages; ++i) {
+      ASSERT_EQ(publisher->publish(Message{large, "driver", "", 0, {}}), PublishStatus::accepted);
+    }
+    controller->publish(text_message("stop"));
+    ASSERT_TRUE(control.wait_for(round));
+    overtook = bulk_before < bulk_messages;
+    EXPECT_TRUE(publisher->drain(patience));
+    ASSERT_TRUE(bulk.wait_for(bulk_messages));
+    for (std::size_t i = 0; i < bulk_messages; ++i) bulk.settle(i, Settlement::accept);
+    bulk.drop_all();
   }
-  controller->publish(text_message("stop"));
-  ASSERT_TRUE(control.wait_for(1));
-  EXPECT_GT(publisher->pending(), 0U) << "it came after all bulk data";
-  EXPECT_LT(bulk.size(), static_cast<std::size_t>(bulk_messages));
-  EXPECT_TRUE(publisher->drain(patience));
-  EXPECT_TRUE(bulk.wait_for(bulk_messages));
-  bulk.drop_all();
+  EXPECT_TRUE(overtook) << "it came after all bulk data";
 }
 
 TEST_F(RabbitMqConnections, AnUrgentHandlerRunsWhileAnotherOneTakesLong) {
