@@ -75,6 +75,9 @@ class Asking {
     beast::flat_buffer buffer;
     http::response_parser<http::string_body> response;
     response.body_limit(reader_.largest_page);
+    // The header by itself: where a part of the body comes with it, Beast 1.74 goes on after a length above the limit,
+    // and takes memory for it.
+    complete(connection, [&](auto done) { http::async_read_header(stream, buffer, response, done); });
     complete(connection, [&](auto done) { http::async_read(stream, buffer, response, done); });
     if (response.get().result() != http::status::ok) {
       throw HttpError(fmt::format("{}{}: {}", address_, target.substr(0, target.find('?')), response.get().body()));

@@ -13,6 +13,8 @@ using Json = TopologyPages::Json;
 
 namespace {
 
+/// Of lists and objects within each other, in a page.
+constexpr int most_page_levels = 64;
 constexpr const char* latencies[] = {"execute", "process", "complete"};
 constexpr const char* counts[] = {"emitted", "transferred", "executed", "acked",       "failed", "timed_out",
                                   "late",    "superseded",  "errors",   "queue_depth", "pending"};
@@ -26,9 +28,14 @@ std::string duration(double us) {
   return fmt::format("{:.1f}s", us / 1e6);
 }
 
+/// A number that counts something; 0: it is none.
+std::uint64_t count_of(const Json& number) {
+  return number.is_number_unsigned() ? number.get<std::uint64_t>() : 0;
+}
+
 std::string latency(const Json& of, const char* name) {
   const Json& one = of.at(name);
-  if (one.at("count").get<std::uint64_t>() == 0) return "-";
+  if (count_of(one.at("count")) == 0) return "-";
   return duration(one.at("p50_us").get<double>()) + "/" + duration(one.at("p99_us").get<double>()) + "/" +
          duration(one.at("max_us").get<double>());
 }
@@ -41,13 +48,20 @@ std::string oldest(const Json& of) {
 
 }  // namespace
 
+Json parse_page(const std::string& text) {
+  return Json::parse(text, [](int depth, Json::parse_event_t, const Json&) {
+    if (depth > most_page_levels) throw Failed("its page has too many lists and objects within each other");
+    return true;
+  });
+}
+
 TopologyPages::TopologyPages(const discovery::TopologyStatus& topology, MasterClient& master)
     : topology_(topology.record.name) {
   if (topology.workers.empty()) problems_.push_back("no worker of topology " + topology_ + " runs");
   WorkerPages workers(master, topology.record.name);
   for (const auto& worker : topology.workers) {
     try {
-      Json page = Json::parse(workers.get(worker, "/topology"));
+      Json page = parse_page(workers.get(worker, "/topology"));
       if (components_.empty()) components_ = page.at("components");
       pages_.push_back(std::move(page));
     } catch (const Failed& e) {
@@ -94,12 +108,11 @@ Json TopologyPages::tasks_of(const std::string& component) const {
 }
 
 Json TopologyPages::sum(const std::string& component) const {
-  Json sum{{"parallelism", 0}, {"tasks", 0}};
+  Json sum{{"parallelism", 0U}, {"tasks", 0U}};
   for (const Json& page : pages_) {
     for (const Json& one : page.at("components")) {
       if (one.at("id") != component) continue;
-      sum["parallelism"] = sum["parallelism"].get<int>() + one.at("parallelism").get<int>();
-      sum["tasks"] = sum["tasks"].get<int>() + one.at("tasks").get<int>();
+      for (const char* count : {"parallelism", "tasks"}) sum[count] = count_of(sum[count]) + count_of(one.at(count));
     }
   }
   for (const char* count : counts) sum[count] = std::uint64_t{0};
@@ -109,15 +122,15 @@ Json TopologyPages::sum(const std::string& component) const {
   sum["last_error"] = "";
   std::map<std::string, std::uint64_t> most;
   for (const Json& task : tasks_of(component)) {
-    for (const char* count : counts) sum[count] = sum[count].get<std::uint64_t>() + task.at(count).get<std::uint64_t>();
+    for (const char* count : counts) sum[count] = count_of(sum[count]) + count_of(task.at(count));
     sum["capacity"] = std::max(sum["capacity"].get<double>(), task.at("capacity").get<double>());
     sum["oldest_s"] = std::max(sum["oldest_s"].get<double>(), task.value("oldest_s", 0.0));  // older workers: not there
     if (!task.at("last_error").get<std::string>().empty()) sum["last_error"] = task.at("last_error");
     for (const char* name : latencies) {
       const Json& one = task.at(name);
       Json& all = sum[name];
-      const auto count = one.at("count").get<std::uint64_t>();
-      all["count"] = all["count"].get<std::uint64_t>() + count;
+      const auto count = count_of(one.at("count"));
+      all["count"] = count_of(all["count"]) + count;
       if (count > most[name]) all["p50_us"] = one.at("p50_us");
       most[name] = std::max(most[name], count);
       for (const char* worst : {"p99_us", "max_us"})

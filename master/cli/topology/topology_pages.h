@@ -44,6 +44,10 @@ class TopologyPages {
   Json components_ = Json::array();
 };
 
+/// A worker's page, which may come from anybody who stands in the registry as a worker. \throws Failed,
+/// TopologyPages::Json::exception
+TopologyPages::Json parse_page(const std::string& text);
+
 /// Prints a row for each component, and one for each of its tasks.
 void print_metrics(std::ostream& out, const TopologyPages& pages, const TopologyPages::Json& metrics);
 /// Adds to the sum of each component what it did a second since an earlier answer: `rate` with `emitted` and

@@ -8,6 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/master/cli/output.h>
+#include <iotcloud/master/cli/topology/topology_pages.h>
 #include <iotcloud/master/cli/topology/topology_tap.h>
 #include <iotcloud/master/cli/topology/worker_pages.h>
 #include <iotcloud/rpc/http/http_client.h>
@@ -80,7 +81,7 @@ class Taps {
     std::vector<Json> samples;
     for (auto worker = workers_.begin(); worker != workers_.end();) {
       try {
-        const Json page = Json::parse(pages_.get(*worker, query_));
+        const Json page = parse_page(pages_.get(*worker, query_));
         for (const Json& sample : page.at("samples")) samples.push_back(sample);
         ++worker;
       } catch (const Failed& e) {
