@@ -25,6 +25,20 @@ std::string sent(const Calls& calls) {
   return buffer->getBufferAsString();
 }
 
+/// The bytes that a service answers to calls.
+template <typename Client, typename Processor, typename Handler, typename Calls>
+std::string answered(const Calls& calls) {
+  const auto plain = [](const std::shared_ptr<TMemoryBuffer>& buffer) {
+    return std::make_shared<TBinaryProtocol>(std::make_shared<TFramedTransport>(buffer));
+  };
+  const auto asked = std::make_shared<TMemoryBuffer>();
+  const auto told = std::make_shared<TMemoryBuffer>();
+  Client client(plain(asked));
+  calls(client);
+  Processor(std::make_shared<Handler>()).process(plain(asked), plain(told), nullptr);
+  return told->getBufferAsString();
+}
+
 // hash of the word "bytes"
 const std::string sha256_of_bytes = "277089d91c0bdf4f2e6862ba7e4a07605119431f5d13f726dd352b06f1b206a9";
 
@@ -174,6 +188,91 @@ SeedsOfTarget gateway_seeds() {
   return seeds;
 }
 
+discovery::wire::TKnownPlugin known_plugin() {
+  discovery::wire::TKnownPlugin plugin;
+  plugin.__set_file("turtle.so");
+  plugin.__set_sha256(sha256_of_bytes);
+  plugin.__set_size(5);
+  return plugin;
+}
+
+struct AnsweringSite : gateway::wire::TSensorSiteServiceNull {
+  void ping(gateway::wire::TPing& answer) override { answer.__set_gateway("lab1"); }
+  void getChanges(std::vector<gateway::wire::TStateChange>& answer, const std::string& instance) override {
+    gateway::wire::TStateChange change;
+    change.__set_instance(instance);
+    change.__set_state("active");
+    answer = {change, change};
+  }
+  void readLog(gateway::wire::TLogPart& answer, const std::string&, const std::string&, const std::int32_t) override {
+    answer.__set_text("a line\n");
+    answer.__set_position("1:9");
+  }
+  void lookAtChannel(discovery::wire::TChannelLook& answer, const discovery::wire::TLookRequest&) override {
+    discovery::wire::TSeenMessage message;
+    message.__set_payload(std::string("\0on", 3));
+    message.__set_properties({{"unit", "C"}});
+    discovery::wire::TChannelState channel;
+    channel.__set_name("readings");
+    answer.__set_channels({channel});
+    answer.__set_messages({message, message});
+  }
+  void listPlugins(std::vector<discovery::wire::TKnownPlugin>& answer) override { answer = {known_plugin()}; }
+  void offerPlugin(std::string&, const gateway::wire::TPluginOffer&) override {
+    gateway::wire::TSiteError error;
+    error.__set_reason("no");
+    throw error;
+  }
+};
+
+struct AnsweringMaster : master::wire::TMasterAPIServiceNull {
+  void getStatus(master::wire::TMasterStatus& answer) override { answer.__set_leader("lab0:5433"); }
+  void getHistory(master::wire::TDriverHistory& answer, const std::vector<std::string>&,
+                  const std::vector<std::string>& gateways, const std::int32_t) override {
+    master::wire::TDriverChange change;
+    change.__set_gateway(gateways.front());
+    change.__set_state("failed");
+    answer.__set_changes({change});
+    answer.__set_silent({{"lab2", "it does not answer"}});
+  }
+  void listPlugins(master::wire::TGatewayPlugins& answer, const std::vector<std::string>&) override {
+    master::wire::TGatewayPlugin plugin;
+    plugin.__set_gateway("lab1");
+    plugin.__set_plugin(known_plugin());
+    answer.__set_plugins({plugin});
+  }
+};
+
+/// The first byte chooses the call that the rest answers (thrift_answers_fuzzer.cc).
+SeedsOfTarget answer_seeds() {
+  using Site = gateway::wire::TSensorSiteServiceClient;
+  using Api = master::wire::TMasterAPIServiceClient;
+  const auto of_site = [](char call, const auto& calls) {
+    return call + answered<Site, gateway::wire::TSensorSiteServiceProcessor, AnsweringSite>(calls);
+  };
+  const auto of_master = [](char call, const auto& calls) {
+    return call + answered<Api, master::wire::TMasterAPIServiceProcessor, AnsweringMaster>(calls);
+  };
+  SeedsOfTarget seeds;
+  seeds["ping"] = of_site('\0', [](Site& site) { site.send_ping(); });
+  seeds["changes"] = of_site('\1', [](Site& site) { site.send_getChanges("0a1b"); });
+  seeds["log"] = of_site('\2', [](Site& site) { site.send_readLog("0a1b", "", 9); });
+  seeds["look"] = of_site('\3', [](Site& site) { site.send_lookAtChannel(look()); });
+  seeds["plugins"] = of_site('\4', [](Site& site) { site.send_listPlugins(); });
+  seeds["error"] = of_site('\5', [](Site& site) { site.send_offerPlugin(offer<gateway::wire::TPluginOffer>()); });
+  seeds["authenticated"] = of_site('\6', [](Site& site) { site.send_authenticate("token"); });
+  seeds["status"] = of_master('\7', [](Api& api) { api.send_getStatus(); });
+  seeds["history"] = of_master('\x8', [](Api& api) { api.send_getHistory({"0a"}, {"lab1"}, 5); });
+  seeds["gateways_plugins"] = of_master('\x9', [](Api& api) { api.send_listPlugins({}); });
+  seeds["unknown"] = of_site('\x7', [](Site& site) { site.send_ping(); });
+  // A list as long as the field can say, of structs: each may be one byte.
+  std::string endless = seeds["changes"];
+  const auto list = endless.find(std::string("\x0f\x00\x00\x0c", 4));
+  endless.replace(list + 4, 4, "\x7f\xff\xff\xff");
+  seeds["endless"] = endless;
+  return seeds;
+}
+
 SeedsOfTarget site_seeds() {
   SeedsOfTarget seeds;
   using Client = gateway::wire::TSensorSiteServiceClient;
@@ -238,6 +337,7 @@ void add_control_plane_seeds(Seeds& seeds) {
   seeds["master_api"] = api_seeds();
   seeds["master_gateways"] = gateway_seeds();
   seeds["gateway_site"] = site_seeds();
+  seeds["thrift_answers"] = answer_seeds();
   seeds["manifest"] = manifest_seeds();
 }
 

@@ -148,7 +148,7 @@ SeedsOfTarget registry_records() {
       {"topology_order", '\3' + encode(topology_order)},
       {"worker", '\4' + encode(worker)},
       {"life", '\5' + encode(discovery::GatewayLife{"lab1", 12905, 7, "state", "run"})},
-      {"reader", '\6' + encode(discovery::ReaderRecord{topology.name, 3, true, "rabbitmq", "x == 1", 5})},
+      {"reader", '\6' + encode(discovery::ReaderRecord{topology.name, 3, true, "rabbitmq", "x == 1", 5, "side x 1; up x 4"})},
       {"driver", '\7' + encode(driver)},
       {"channel", '\x08' + encode(channel)},
       {"freeze", '\x09' + encode(discovery::FreezeRecord{"emptied", 5, "token", true})},

@@ -42,13 +42,13 @@ struct Master {
   const security::TrustedKeys trusted;
 };
 
-const Master& master() {
+const Master& the_master() {
   static const Master one{Folder()};
   return one;
 }
 
 std::string signer(const std::string& where, const std::string& bytes) {
-  return security::signer_of_object(master().trusted, where, bytes);
+  return security::signer_of_object(the_master().trusted, where, bytes);
 }
 
 /// The record in the bytes, written again, or what is wrong with them.
@@ -84,7 +84,7 @@ IOTCLOUD_FUZZ_TARGET(signed_orders, 1'500) {
   }
   const std::string object = bytes.substr(1);
   if (!object.ends_with('}') || object.find('"') == std::string::npos) return;  // an empty object is never signed
-  const std::string with_signature = security::sign_object(master().signer.key(), place, object);
+  const std::string with_signature = security::sign_object(the_master().signer.key(), place, object);
   fuzz::must(signer(place, with_signature) == "master", "what the master signed is signed");
   fuzz::must(signer(place + "0", with_signature).empty(), "a copy elsewhere is not signed");
   std::string changed = with_signature;

@@ -1,3 +1,4 @@
+#include <limits>
 #include <string>
 #include <vector>
 
@@ -38,7 +39,42 @@ SeedsOfTarget host_protocol() {
   host::HostCommand stop;
   stop.kind = host::HostCommand::Kind::shutdown;
   stop.number = 500;
-  return {{"reports", '\x21' + encode(hello) + encode(refused) + encode(passed) + encode(host::HostReport{})},
+  host::HostCommand deliver;
+  deliver.kind = host::HostCommand::Kind::deliver;
+  deliver.passed.topic = "gw.turtle.control";
+  deliver.passed.message.driver_id = "01";
+  deliver.passed.message.properties.set("unit", std::string("\0\xff", 2));
+  deliver.passed.message.payload = brokers::Payload::copy("on");
+  host::HostCommand ask;
+  ask.kind = host::HostCommand::Kind::ask;
+  ask.number = 7;
+  ask.question.look.instance = discovery::InstanceId("01");
+  ask.question.message = deliver.passed.message;
+  host::HostCommand answer;
+  answer.kind = host::HostCommand::Kind::answer;
+  answer.answer = gateway::PassAnswer::nowhere;
+  host::HostReport pong;
+  pong.stalls.emplace_back();
+  pong.brokers.emplace_back();
+  host::HostReport metrics;
+  metrics.kind = host::HostReport::Kind::metrics;
+  for (const auto kind : {config::Sample::Kind::gauge, config::Sample::Kind::histogram}) {
+    auto& sample = metrics.samples.emplace_back();
+    sample.name = "iotcloud_x";
+    sample.labels = {{"a", "b"}};
+    sample.kind = kind;
+  }
+  host::HostReport told;
+  told.kind = host::HostReport::Kind::told;
+  told.look.messages.emplace_back().payload = "on";
+  host::HostReport running;
+  running.kind = host::HostReport::Kind::hello;
+  running.instances.emplace_back().spec = *create.spec;
+  return {{"proof", '\x20' + host::proof_frame(std::string(64, 'a')) + encode(host::HostCommand{})},
+          {"messages", '\x20' + encode(deliver) + encode(ask) + encode(answer)},
+          {"state", '\x21' + encode(running) + encode(pong) + encode(told)},
+          {"metrics", '\x21' + encode(metrics)},
+          {"reports", '\x21' + encode(hello) + encode(refused) + encode(passed) + encode(host::HostReport{})},
           {"commands", '\x20' + encode(create) + encode(stop) + encode(host::HostCommand{})}};
 }
 
@@ -55,15 +91,33 @@ SeedsOfTarget starter_protocol() {
                            encode(StarterAnswer{StarterAnswer::Kind::killed, 0, {}})}};
 }
 
-std::string tuple() {
+std::string encoded(const topology::TupleRecord& record) {
+  std::vector<std::byte> bytes;
+  topology::encode_tuple(record, bytes);
+  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+}
+
+SeedsOfTarget tuples() {
   topology::TupleRecord record;
   record.component = "decode";
   record.source_task = 2;
   record.ids = {1, 2};
   record.values = topology::Values(std::int64_t{-5}, 0.5, std::string("robot"), true);
-  std::vector<std::byte> bytes;
-  topology::encode_tuple(record, bytes);
-  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
+  topology::TupleRecord large;
+  large.component = std::string(200, 'c');
+  large.stream = "late";
+  large.ids.assign(300, ~std::uint64_t{0});
+  large.values = topology::Values(std::numeric_limits<std::int64_t>::min(), std::numeric_limits<double>::quiet_NaN(),
+                                  topology::Payload::copy(std::string(300, '\xff')), false);
+  const std::string values = encoded(record);
+  std::string other_version = values;
+  other_version[1] = 2;
+  return {{"values", values},
+          {"empty", encoded({})},
+          {"large", encoded(large)},
+          {"cut", values.substr(0, values.size() - 3)},
+          {"other_version", other_version},
+          {"long_number", std::string("\xc7\x01\x80\x80\x80\x80\x80\x80\x80\x80\x80\x80\x01", 13)}};
 }
 
 /// The first byte chooses whether the target signs the rest (signed_orders_fuzzer.cc), the second what it changes then.
@@ -102,6 +156,22 @@ SeedsOfTarget json_payloads() {
           {"command_deep", '\1' + std::string(2'000, '[')}};
 }
 
+/// What a worker says of its tasks (topology/worker), as older ones and no worker say it.
+SeedsOfTarget worker_pages() {
+  const std::string component = R"({"id":"in","kind":"spout","parallelism":2147483647,"tasks":1})";
+  const std::string latency = R"({"count":7,"p50_us":1.5,"p99_us":1e300,"max_us":0})";
+  const std::string task = R"({"component":"in","task":0,"emitted":1,"transferred":18446744073709551615,"executed":1,)"
+                           R"("acked":1,"failed":0,"timed_out":0,"late":0,"superseded":0,"errors":0,"queue_depth":0,)"
+                           R"("pending":0,"capacity":0.5,"oldest_s":3.5,"last_error":"","execute":)" +
+                           latency + R"(,"process":)" + latency + R"(,"complete":)" + latency + "}";
+  const std::string head = R"({"worker":"w1","components":[)" + component;
+  return {{"whole", head + R"(],"tasks":[)" + task + R"(],"brokers":[{"broker":"b","state":"up"}],"troubles":[]})"},
+          {"twice", head + "," + component + R"(],"tasks":[)" + task + "," + task + "]}"},
+          {"other_types", head + R"(],"tasks":{"a":1},"brokers":"none","troubles":[1,[2]]})"},
+          {"deep", R"({"worker":"w1","components":)" + std::string(20'000, '[') + std::string(20'000, ']') + "}"},
+          {"no_object", "[]"}};
+}
+
 }  // namespace
 
 void add_wire_seeds(Seeds& seeds) {
@@ -110,14 +180,33 @@ void add_wire_seeds(Seeds& seeds) {
   seeds["starter_protocol"] = starter_protocol();
   seeds["kafka_headers"]["ours"] = header("sensorID", "01") + header("siteID", "gw") + header("time", "1700000000000") +
                                    header("x-iotcloud-expires", "9") + header("x-iotcloud-resent", "1");
+  seeds["kafka_headers"]["twice"] = header("sensorID", "01") + header("sensorID", "02") + header("time", "-1");
+  seeds["kafka_headers"]["no_numbers"] =
+      header("time", "99999999999999999999") + header("x-iotcloud-expires", "soon") + header("x-iotcloud-resent", "");
+  seeds["kafka_headers"]["without_values"] = std::string("\x08sensorID\xff\x06siteID\xff\x04time\xff", 24);
+  for (int i = 0; i < 70; ++i) seeds["kafka_headers"]["many"] += header("n" + std::to_string(i), "v");
   seeds["kafka_headers"]["others"] = header("traceparent", "00-1") + header("", "") + std::string("\x01n\xff", 3);
   seeds["signed_orders"] = signed_orders();
   seeds["json_payload"] = json_payloads();
-  seeds["tuple"]["values"] = tuple();
-  seeds["http"] = {{"page", "GET /page?a=1&b=%20x+y&c HTTP/1.1\r\nHost: lab1\r\n\r\n"},
-                   {"two", "GET /page HTTP/1.1\r\nHost: lab1\r\n\r\nHEAD /page?%zz HTTP/1.0\r\n\r\n"},
-                   {"token", "GET /metrics HTTP/1.1\r\nAuthorization: Bearer anna.00\r\n\r\n"},
-                   {"body", "POST /page HTTP/1.1\r\nContent-Length: 3\r\nTransfer-Encoding: chunked\r\n\r\nabc"}};
+  seeds["tuple"] = tuples();
+  seeds["http"] = {
+      {"page", "GET /page?a=1&b=%20x+y&c HTTP/1.1\r\nHost: lab1\r\n\r\n"},
+      {"two", "GET /page HTTP/1.1\r\nHost: lab1\r\n\r\nHEAD /page?%zz HTTP/1.0\r\n\r\n"},
+      {"pipelined", "GET /page HTTP/1.1\r\nAuthorization: Bearer anna.00\r\n\r\nGET /page HTTP/1.1\r\n\r\n"},
+      {"basic", "GET /page HTTP/1.1\r\nAuthorization: Basic YTpi\r\nAuthorization: Bearer\r\n\r\n"},
+      {"absolute", "GET http://lab1/page?a=%00%ff HTTP/1.1\r\nConnection: keep-alive, Upgrade\r\n\r\n"},
+      {"long_header", "GET /page HTTP/1.1\r\nX: " + std::string(9'000, 'x') + "\r\n\r\n"},
+      {"token", "GET /metrics HTTP/1.1\r\nAuthorization: Bearer anna.00\r\n\r\n"},
+      {"body", "POST /page HTTP/1.1\r\nContent-Length: 3\r\nTransfer-Encoding: chunked\r\n\r\nabc"}};
+  seeds["http_client"] = {
+      {"page", "HTTP/1.1 200 OK\r\nContent-Type: text/plain\r\nContent-Length: 3\r\n\r\nok\n"},
+      {"until_end", "HTTP/1.0 200 OK\r\n\r\nok\n"},
+      {"chunked", "HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n3;a=b\r\nok\n\r\n0\r\nTrailer: 1\r\n\r\n"},
+      {"refused", "HTTP/1.1 401 Unauthorized\r\nWWW-Authenticate: Bearer\r\nContent-Length: 2\r\n\r\nno"},
+      {"continue", "HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200 OK\r\nContent-Length: 0\r\n\r\n"},
+      {"too_large", "HTTP/1.1 200 OK\r\nContent-Length: 18446744073709551615\r\n\r\nx"},
+      {"moved", "HTTP/1.1 302 Found\r\nLocation: http://169.254.169.254/\r\nContent-Length: 0\r\n\r\n"}};
+  seeds["worker_page"] = worker_pages();
   seeds["signed_text"] = {
       {"signature", '\0' + std::string("iotcloud-plugin turtle 7\n") + std::string(64, 's')},
       {"bare", '\0' + std::string(64, 's')},
