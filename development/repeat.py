@@ -52,6 +52,18 @@ def outcome(said):
     return int(summary[3]), sorted(FAILED.findall(said[summary.end():]))
 
 
+def read_with_progress(output):
+    """Reads all of ctest's output, and shows meanwhile how far it is."""
+    said = []
+    with subprocess.Popen([sys.executable, TREE / "development/progress.py", "tests", "testing"], stdin=subprocess.PIPE,
+                          text=True, errors="replace") as progress:
+        for line in output:
+            said.append(line)
+            progress.stdin.write(line)
+            progress.stdin.flush()
+    return "".join(said)
+
+
 def run_suite(build, options):
     """Runs the suite and returns ctest's output. An interrupt ends its tests and their servers too."""
     command = ["ctest", "--test-dir", str(build), "--output-on-failure", "-j", str(3 * os.cpu_count()), "-LE", "^long$",
@@ -59,7 +71,7 @@ def run_suite(build, options):
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                           errors="replace", start_new_session=True) as suite:
         try:
-            return suite.communicate()[0]
+            return read_with_progress(suite.stdout)
         except BaseException:
             os.killpg(suite.pid, signal.SIGKILL)
             raise
