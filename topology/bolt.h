@@ -29,9 +29,11 @@ class Bolt {
     (void)config;
     return std::chrono::microseconds{0};
   }
-  /// For how long the bolt keeps a tuple, by design, before it acks it (a window); 0: it does not say. A topology whose
-  /// bolts keep tuples for longer than the message time-out is refused. TopologyBuilder::build() calls it once for each
-  /// component. \param config as in prepare().
+  /// holds_tuples_for(): until enough other tuples have come, however long that takes.
+  static constexpr std::chrono::microseconds until_others_come = std::chrono::microseconds::max();
+  /// For how long the bolt keeps a tuple, by design, before it acks it (a window); until_others_come; or 0: it does not
+  /// say. A topology whose bolts keep tuples for a time longer than the message time-out is refused.
+  /// TopologyBuilder::build() calls it once for each component. \param config as in prepare().
   virtual std::chrono::microseconds holds_tuples_for(const Config& config) const {
     (void)config;
     return std::chrono::microseconds{0};

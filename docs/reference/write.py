@@ -60,8 +60,8 @@ HEAD = """\
 
 `./dev reference` makes this page from the keys that the daemons read, from the comments in the default files, and from what our
 classes declare of `conf`; a test compares it with them. `<name>` is a name of your choice, `[]` an item of a sequence. Durations have a unit (`250ms`, `10s`,
-`5m`, `1h`). **required**: the key must be there if its mapping is (for a spout or bolt: if it faces a broker). A key without
-a meaning shares that of the lines above it. A daemon refuses any other key, and names the nearest one of these.
+`5m`, `1h`). **required**: the key must be there if its mapping is (for a spout or bolt: if it faces a broker). What a
+key without a meaning is stands in the default file, beside the key or on a neighbour of it. A daemon refuses any other key, and names the nearest one of these.
 [fleet.yaml](../../config/fleet.yaml) explains the manifest of `iotcloud apply`.
 """
 
@@ -143,8 +143,8 @@ def tables(readme):
     said, owner = {}, None
     for line in readme.read_text().splitlines() if readme else []:
         cells = [cell.strip() for cell in line.strip("|").split("|")]
-        if not line.startswith("|") or len(cells) < 2:
-            continue
+        if not line.startswith("|") or len(cells) < 2 or re.fullmatch(r"`[\w/]+\.h`", cells[-1]):
+            continue  # no row, or one that only cites a header
         if len(cells) == 3:
             owner = cells[0] or owner
         for key in re.findall(r"`([a-z_][\w.]*)(?:: \w+)?`", cells[-2]):

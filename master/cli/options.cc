@@ -103,6 +103,8 @@ discovery::InstanceId completed(const std::string& word, const std::vector<Drive
       fmt::format("\"{}\" begins {} ids; give more of it:\n  {}", word, found.size(), fmt::join(lines, "\n  ")));
 }
 
+constexpr const char* not_both = "give ids, or --where, --name, --driver, --state or --all, not both";
+
 }  // namespace
 
 std::map<std::string, std::string> pairs(const std::vector<std::string>& words, const char* option) {
@@ -178,16 +180,39 @@ void Choice::add_what_they_are(CLI::App& options, const char* gateways_what) {
       ->check(CLI::Validator([](std::string& text) { return text.empty() ? "it is empty" : ""; }, ""));
 }
 
+bool Choice::has_conditions() const {
+  return all || !name.empty() || !driver.empty() || !state.empty() || !where.empty();
+}
+
 void Choice::check_order() const {
-  const bool chosen = all || !name.empty() || !driver.empty() || !state.empty() || !where.empty();
-  if (instances.empty() && !chosen) throw CLI::RequiredError("ID, or --where, --name, --driver, --state or --all,");
-  if (!instances.empty() && chosen)
-    throw CLI::ValidationError("ID", "give ids, or --where, --name, --driver, --state or --all, not both");
+  if (instances.empty() && !has_conditions())
+    throw CLI::RequiredError("ID, or --where, --name, --driver, --state or --all,");
+  // Words after -g may be gateways: with_all_gateways() finds out.
+  if (!instances.empty() && gateways.empty() && has_conditions()) throw CLI::ValidationError("ID", not_both);
+}
+
+Choice Choice::with_all_gateways(MasterClient& master) const {
+  if (gateways.empty() || instances.empty()) return *this;
+  Choice choice = *this;
+  choice.instances.clear();
+  const auto known = master.gateways();
+  for (const auto& word : instances) {
+    const bool is_gateway =
+        std::any_of(known.begin(), known.end(), [&](const auto& gateway) { return gateway.record.id == word; });
+    if (is_gateway) {
+      choice.gateways.emplace_back(word);
+    } else if (has_conditions()) {
+      throw Failed(fmt::format("\"{}\" is no gateway: {}", word, not_both));
+    } else {
+      choice.instances.push_back(word);
+    }
+  }
+  return choice;
 }
 
 std::vector<DriverRecord> Choice::drivers(MasterClient& master) const {
   const auto selection = selection_of(where);
-  return chosen(sorted_drivers(master), selection);
+  return with_all_gateways(master).chosen(sorted_drivers(master), selection);
 }
 
 std::vector<DriverRecord> Choice::chosen(std::vector<DriverRecord> drivers,
@@ -206,6 +231,7 @@ std::vector<DriverRecord> Choice::chosen(std::vector<DriverRecord> drivers,
 }
 
 std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
+  if (instances.empty() && !has_conditions()) throw Failed("an order for all instances of gateways takes --all, too");
   std::vector<discovery::InstanceId> ids;
   if (!instances.empty()) {
     auto all_drivers = sorted_drivers(master);

@@ -54,6 +54,10 @@ struct Choice {
   /// \throws CLI::ParseError
   void check_order() const;
 
+  /// The same choice where `-g lab1 lab2` was given, of which the parser takes the second gateway for an instance. An
+  /// order asks for its ids() and gateways. \throws Failed when there are conditions and a word that is no gateway;
+  /// Unreachable
+  Choice with_all_gateways(MasterClient& master) const;
   /// The records of the chosen instances, sorted by driver, gateway and id.
   /// \throws std::invalid_argument for a wrong `where`, before a master is asked; Unreachable, Failed
   std::vector<discovery::DriverRecord> drivers(MasterClient& master) const;
@@ -64,6 +68,7 @@ struct Choice {
   std::vector<discovery::InstanceId> ids(MasterClient& master) const;
 
  private:
+  bool has_conditions() const;
   std::vector<discovery::DriverRecord> chosen(std::vector<discovery::DriverRecord> drivers,
                                               const discovery::Selection& selection) const;
 };

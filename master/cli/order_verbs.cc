@@ -228,7 +228,8 @@ class ForInstances : public Verb {
   void check() override { choice_.check_order(); }
   int run(Call& call) override {
     const auto master = call.connect();
-    return give(call, *master, {choice_.ids(*master), choice_.gateways, wait_});
+    const Choice choice = choice_.with_all_gateways(*master);
+    return give(call, *master, {choice.ids(*master), choice.gateways, wait_});
   }
 
  protected:

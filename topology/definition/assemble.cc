@@ -200,11 +200,12 @@ void check_holds(const TopologyDefinition& definition, const Topology& topology)
       const auto before = longest.find(input.from);
       if (before == longest.end()) continue;
       Way way = before->second;
-      if (component.holds.count() > 0) {
+      const bool for_a_time = component.holds.count() > 0 && component.holds != Bolt::until_others_come;
+      if (for_a_time) {
         way.held += component.holds;
         way.bolts += (way.bolts.empty() ? "" : ", then ") + component.id + " " + as_text(component.holds);
       }
-      if (component.holds.count() > 0 && way.held >= definition.runtime.message_timeout) {
+      if (for_a_time && way.held >= definition.runtime.message_timeout) {
         throw TopologyError(
             component.id, "tuples are kept for longer than the message time-out, so each of them would fail (" +
                               way.bolts + "; runtime.message_timeout is " +

@@ -6,6 +6,7 @@
 #include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/config/yaml/duration.h>
+#include <iotcloud/topology/bolt.h>
 #include <iotcloud/topology/conf_keys.h>
 #include <iotcloud/topology/windows/window_options.h>
 
@@ -110,7 +111,8 @@ WindowOptions configured(WindowOptions options, const Config& config) {
   return options;
 }
 
-std::chrono::milliseconds longest_hold(const WindowOptions& options) {
+std::chrono::microseconds longest_hold(const WindowOptions& options) {
+  if (options.length.count > 0 || options.slide.count > 0) return Bolt::until_others_come;
   const auto border = std::max(options.length.duration, options.slide.duration);
   if (border.count() == 0 || !options.event_time()) return border;
   return border + options.lag + options.watermark_interval;

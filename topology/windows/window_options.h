@@ -62,8 +62,8 @@ std::vector<ConfKey> window_conf_keys();
 /// result makes no windows.
 WindowOptions configured(WindowOptions options, const Config& config);
 
-/// For how long a window may keep a tuple: until the end of the last window that may contain it. Windows by count alone
-/// last as long as tuples take to come: 0.
-std::chrono::milliseconds longest_hold(const WindowOptions& options);
+/// For how long a window may keep a tuple: until the end of the last window that may contain it. Where length or slide
+/// is a number of tuples, that is Bolt::until_others_come.
+std::chrono::microseconds longest_hold(const WindowOptions& options);
 
 }  // namespace iotcloud::topology

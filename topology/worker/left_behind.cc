@@ -19,6 +19,7 @@ std::string list(const std::map<std::string, std::size_t>& counts, const char* w
 
 /// "mean (for up to 10000 ms)"
 std::string keeper(const ComponentSpec& component) {
+  if (component.holds == Bolt::until_others_come) return component.id + " (until enough others have come)";
   return fmt::format("{} (for up to {} ms)", component.id,
                      std::chrono::ceil<std::chrono::milliseconds>(component.holds).count());
 }

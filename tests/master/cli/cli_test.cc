@@ -121,6 +121,19 @@ TEST_F(Cli, APartialDeploymentHasExitStatusOne) {
   EXPECT_EQ(answer["outcomes"][1]["outcome"], "failed");
 }
 
+TEST_F(Cli, SeveralGatewaysMayFollowOneOption) {
+  FakeGateway first(url, "lab1"), second(url, "lab2"), third(url, "lab3");
+  ASSERT_EQ(run({"deploy", "turtle.so", "--all"}).status, 0);
+  EXPECT_THAT(run_json({"drivers", "-g", "lab1", "lab2"}), testing::SizeIs(2));
+  const auto refused = run({"undeploy", "--all", "-g", "lab1", "lap2"});
+  EXPECT_NE(refused.status, 0);
+  EXPECT_THAT(refused.err, HasSubstr("\"lap2\" is no gateway"));
+  EXPECT_THAT(run({"undeploy", "-g", "lab1", "lab2"}).err, HasSubstr("takes --all"));
+  EXPECT_THAT(run_json({"drivers"}), testing::SizeIs(3));
+  EXPECT_EQ(run({"undeploy", "--all", "-g", "lab1", "lab3"}).status, 0);
+  EXPECT_TRUE(tests::eventually([&] { return run_json({"drivers"}).size() == 1; }));
+}
+
 TEST_F(Cli, ASilentGatewayIsUnknownAfterTheWait) {
   FakeGateway silent(url, "lab1", FakeGateway::say_nothing());
   const auto done = run({"deploy", "turtle.so", "--all", "--wait", "0.05"});

@@ -136,7 +136,7 @@ TEST_F(Endpoints, SayWhichChannelsThereAreWhenNoInstanceHasTheOneThatASpoutNames
 }
 
 /// Acks nothing until the topology ends, as a long window does.
-class WindowLikeBolt final : public Bolt {
+class WindowLikeBolt : public Bolt {
  public:
   void prepare(const Config&, const TopologyContext&, OutputCollector&) override {}
   void execute(const Tuple& tuple) override {
@@ -171,6 +171,24 @@ TEST_F(Endpoints, GiveAWindowAllThatComesInItsTimeThoughItKeepsMoreThanTheUsualP
   for (int i = 0; i < in_ten_seconds; ++i) publisher->publish(message("m", "one"));
   EXPECT_TRUE(eventually([] { return WindowLikeBolt::kept == in_ten_seconds; })) << WindowLikeBolt::kept;
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_prefetch") >= in_ten_seconds; }));
+}
+
+/// As a window of so many tuples, however long they take to come.
+class CountWindowLikeBolt final : public WindowLikeBolt {
+ public:
+  std::chrono::microseconds holds_tuples_for(const Config&) const override { return until_others_come; }
+};
+
+TEST_F(Endpoints, GiveAWindowThatIsCountedInTuplesAsManyAsItNeeds) {
+  WindowLikeBolt::kept = 0;
+  ComponentRegistry components;
+  components.add_bolt<CountWindowLikeBolt>("Window");
+  run_yaml(window_behind_spout(""), std::move(components));
+  show_driver("one");
+  const auto publisher = device("one");
+  constexpr int of_one_window = 500;
+  for (int i = 0; i < of_one_window; ++i) publisher->publish(message("m", "one"));
+  EXPECT_TRUE(eventually([] { return WindowLikeBolt::kept == of_one_window; })) << WindowLikeBolt::kept;
 }
 
 TEST_F(Endpoints, SayInTheWorkersRecordWhichBrokerIsAwayAsLongAsItIs) {

@@ -167,7 +167,9 @@ TEST(Windows, SayForHowLongTheyKeepATuple) {
   EXPECT_EQ(hold({.length = 10s, .slide = 2s}), 10s);
   EXPECT_EQ(hold({.length = 2s, .slide = 10s}), 10s) << "a tuple between two windows";
   EXPECT_EQ(hold({.length = 10s}, {{"window.length", "1m"}}), 60s);
-  EXPECT_EQ(hold({.length = 100}), 0s) << "as long as tuples take to come";
+  EXPECT_EQ(hold({.length = 100}), Bolt::until_others_come);
+  EXPECT_EQ(hold({.length = 100, .slide = 2s}), Bolt::until_others_come);
+  EXPECT_EQ(hold({.length = 10s, .slide = 5}), Bolt::until_others_come);
   EXPECT_EQ(hold({.length = 10s, .timestamp_field = "time", .lag = 500ms, .watermark_interval = 1s}), 11500ms);
 }
 

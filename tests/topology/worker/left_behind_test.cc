@@ -28,6 +28,8 @@ TEST(LeftBehind, SaysWhatIsUnderWayWhereItWaitsAndWhoKeepsItByDesign) {
   snapshot.tasks.back().queue_depth = 3;
   EXPECT_THAT(left_behind(topology, snapshot), testing::HasSubstr("12 of in; waiting: 3 before mean; these bolts"));
   EXPECT_EQ(left_behind(topology, {}), "");
+  topology.components[1].holds = Bolt::until_others_come;
+  EXPECT_THAT(left_behind(topology, snapshot), testing::HasSubstr("mean (until enough others have come);"));
 }
 
 TEST(LeftBehind, NamesNoKeeperWhenThereIsNone) {
