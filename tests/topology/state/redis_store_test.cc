@@ -349,7 +349,10 @@ TEST(ARedisThatMayForget, IsNoticedWithoutTuplesToo) {
 /// empty keys.
 class RendezvousRedis {
  public:
-  RendezvousRedis() : acceptor_(io_, {boost::asio::ip::address_v4::loopback(), 0}) { accept(); }
+  RendezvousRedis() : acceptor_(io_, {boost::asio::ip::address_v4::loopback(), 0}) {
+    accept();
+    thread_ = std::thread([this] { io_.run(); });  // it ends at once when there is nothing to wait for
+  }
   ~RendezvousRedis() {
     io_.stop();
     thread_.join();
@@ -403,8 +406,8 @@ class RendezvousRedis {
 
   boost::asio::io_context io_;
   boost::asio::ip::tcp::acceptor acceptor_;
-  std::set<std::shared_ptr<Client>> waiting_;   ///< for the answer to a claim
-  std::jthread thread_{[this] { io_.run(); }};  ///< last: it uses the others
+  std::set<std::shared_ptr<Client>> waiting_;  ///< for the answer to a claim
+  std::thread thread_;
 };
 
 TEST(ARedis, IsAskedByEachTaskWithoutWaitingForTheAnswersOfOthers) {
