@@ -363,6 +363,7 @@ TEST_F(ForeignOrders, AreNotSignedBecauseSomebodyChangesThem) {
   const auto path = paths_.order("lab1"_gateway, selection.instances.front());
   auto forged = discovery::decode_order(standing(path), path);
   forged.plugin = "evil.so";
+  forged.driver = "turtle"_driver;  // the instance has one record, whichever of the two orders its gateway saw last
   forged.epoch = forged.given_ms = std::numeric_limits<std::int64_t>::max();
   write(path, encode(forged));
 
