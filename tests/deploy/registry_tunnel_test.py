@@ -154,7 +154,7 @@ class Tunnel(unittest.TestCase):
         self.certs("add", "registry-tls", "master-1")
         self.of_cluster("registry-tls.conf", "registry-tls", server)
         self.of_cluster("registry-tunnel.conf", "master-1", client)
-        self.assertEqual(self.ask(ends), b"RUOK")
+        self.assertEqual(self.ask_until_answered(ends), b"RUOK")
         self.folder = self.folder.with_name("strangers")
         self.certs("init", "master-1")
         client["127.0.0.1:2181"] = f"127.0.0.1:{(stranger := free_ports(1)[0])}"
@@ -173,7 +173,7 @@ class Tunnel(unittest.TestCase):
             ends[gateway] = free_ports(1)[0]
             self.of_cluster("registry-tunnel.conf", gateway, {"127.0.0.1:2181": f"127.0.0.1:{ends[gateway]}",
                                                               "connect = registry-tls:2281": f"connect = 127.0.0.1:{inner}"})
-            self.assertEqual(self.ask(ends[gateway]), b"RUOK")
+            self.assertEqual(self.ask_until_answered(ends[gateway]), b"RUOK")
         self.revoke("gateway-1")
         shown = self.certificate_at(inner)
         subprocess.run([IOTCLOUD, "certs", "renew", self.folder, "registry-tls"], check=True, capture_output=True, timeout=60)
@@ -188,8 +188,14 @@ class Tunnel(unittest.TestCase):
         self.assertEqual(self.ask_until_answered(ends["gateway-2"]), b"RUOK")
 
     def certificate_at(self, port):
-        """The certificate that a server shows."""
-        return ssl.get_server_certificate(("127.0.0.1", port))
+        """The certificate that a server shows, as soon as it shows one: it resets connections while it reads its files."""
+        deadline = time.monotonic() + LIMIT_S
+        while True:
+            try:
+                return ssl.get_server_certificate(("127.0.0.1", port))
+            except OSError:
+                self.assertLess(time.monotonic(), deadline)
+                time.sleep(0.05)
 
     def ask_until_answered(self, port):
         """As ask(), while the tunnel's other end may still be starting."""

@@ -84,7 +84,7 @@ TEST_F(Update, InstancesRunTheNewVersionAndKeepAllElse) {
   for (const auto& driver : master->drivers()) EXPECT_EQ(driver.sha256, v2);
 }
 
-TEST_F(Update, OtherPropertiesComeStepByStepAndTheOthersKeepTheirs) {
+TEST_F(Update, OtherPropertiesComeToThoseThatAreNamedAndTheOthersKeepTheirs) {
   FakeGateway lab1(url, "lab1"), lab2(url, "lab2");
   const auto ids = deploy(1, {"lab1", "lab2"});
   UpdateRequest request;
@@ -143,6 +143,24 @@ TEST_F(Update, OneGatewayComesAfterTheOther) {
   const auto result = running.get();
   EXPECT_TRUE(result.all_done()) << result.summary();
   EXPECT_EQ(order(lab2, ids[1]).sha256, v2);
+}
+
+TEST_F(Update, OtherPropertiesComeToOneGatewayAfterTheOther) {
+  FakeGateway lab1(url, "lab1"), lab2(url, "lab2");
+  const auto ids = deploy(1, {"lab1", "lab2"});
+  lab1.behave(FakeGateway::say_nothing());
+  UpdateRequest request;
+  request.selection.instances = ids;
+  request.properties = {{ids[0], {{"rate", "7"}}}, {ids[1], {{"rate", "7"}}}};
+  auto running = std::async(std::launch::async, [&] { return master->update(request); });
+  const auto rate_at = [](const FakeGateway& gateway) { return gateway.orders().at(0).properties.at("rate"); };
+  ASSERT_TRUE(test::eventually([&] { return rate_at(lab1) == "7"; }));
+  EXPECT_EQ(order(lab2, ids[1]).properties.at("rate"), "5") << "the first has not come up yet";
+  lab1.behave(FakeGateway::obey);
+  lab1.report(ids[0], DriverState::active);
+  const auto result = running.get();
+  EXPECT_TRUE(result.all_done()) << result.summary();
+  EXPECT_EQ(order(lab2, ids[1]).properties.at("rate"), "7");
 }
 
 TEST_F(Update, SoManyAtOnceAreUpdatedInOneStep) {
