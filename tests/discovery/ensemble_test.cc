@@ -78,6 +78,7 @@ int leaders(const std::vector<std::unique_ptr<Participant>>& participants, std::
 TEST(Ensemble, NothingIsLostWhenTheLeaderIsKilledUnderLoad) {
   iotcloud::tests::PrivateServer servers("zookeeper_cluster.py");
   std::vector<std::unique_ptr<Participant>> participants;
+  participants.reserve(3);
   for (int i = 0; i < 3; ++i) participants.push_back(std::make_unique<Participant>(servers.url(), i));
   Writer writer(*participants[0]->registry);
   const auto progress = [&] {
