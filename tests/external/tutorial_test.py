@@ -31,7 +31,7 @@ JOB_NOTICE = re.compile(r"bash: line \d+: +\d+ |\[\d+\][ +-]")  # of the shell, 
 LIMIT_S = 120  # of one command, on a busy machine
 # What the pages run in the project's folder. Here the programs are installed by CMake and private servers run; the demo has a test
 # of its own.
-INSTALLING = {"README.md": ["./dev demo", "./dev install ~/iotcloud"],
+INSTALLING = {"README.md": ["./dev demo", "./dev test", "./dev install ~/iotcloud"],
               "docs/tutorial.md": ["./dev install ~/iotcloud", "./dev servers up"]}
 
 

@@ -1,36 +1,25 @@
 #pragma once
 
 #include <array>
-#include <cstdint>
 #include <mutex>
 #include <string>
 #include <thread>
+#include <utility>
 
-#include <arpa/inet.h>
-#include <netinet/in.h>
-#include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
-#include "iotcloud/tests/fuzz/bytes.h"
+#include "iotcloud/tests/loopback_listener.h"
 
 namespace iotcloud::fuzz {
 
 /// A server on loopback that answers each connection with the same bytes, whatever the client says, and closes it.
 class AnsweringServer {
  public:
-  AnsweringServer() : listener_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    socklen_t size = sizeof address;
-    must(bind(listener_, reinterpret_cast<const sockaddr*>(&address), size) == 0 && listen(listener_, 8) == 0 &&
-             getsockname(listener_, reinterpret_cast<sockaddr*>(&address), &size) == 0,
-         "a server on loopback");
-    port_ = ntohs(address.sin_port);
+  AnsweringServer() {
     std::thread([this] { serve(); }).detach();
   }
-  int port() const { return port_; }
+  int port() const { return listener_.port(); }
   void answer_with(std::string bytes) {
     const std::lock_guard lock(mutex_);
     answer_ = std::move(bytes);
@@ -40,7 +29,7 @@ class AnsweringServer {
   [[noreturn]] void serve() {
     std::array<char, 65536> heard{};
     while (true) {
-      const int client = accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC);
+      const int client = listener_.accept();
       if (client < 0) continue;
       // The client speaks first. What it says must be read, or closing the socket would cut the answer off.
       static_cast<void>(recv(client, heard.data(), heard.size(), 0));
@@ -55,8 +44,7 @@ class AnsweringServer {
     }
   }
 
-  const int listener_;
-  int port_ = 0;
+  const tests::LoopbackListener listener_;
   std::mutex mutex_;
   std::string answer_;
 };

@@ -9,13 +9,11 @@
 #include <utility>
 #include <vector>
 
-#include <arpa/inet.h>
 #include <fcntl.h>
 #include <gmock/gmock.h>
 #include <signal.h>
 #include <spawn.h>
 #include <sys/file.h>
-#include <sys/socket.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -27,6 +25,7 @@
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
+#include <iotcloud/tests/loopback_listener.h>
 #include <iotcloud/tests/servers/private_server.h>
 
 namespace iotcloud::gateway {
@@ -34,19 +33,6 @@ namespace {
 
 using discovery::DriverState;
 namespace fs = std::filesystem;
-
-/// A socket that listens on a free port of loopback, and the port.
-std::pair<int, int> taken_port() {
-  const int listener = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  sockaddr_in address{};
-  address.sin_family = AF_INET;
-  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  socklen_t size = sizeof(address);
-  EXPECT_EQ(bind(listener, reinterpret_cast<sockaddr*>(&address), size), 0);
-  EXPECT_EQ(listen(listener, 1), 0);
-  EXPECT_EQ(getsockname(listener, reinterpret_cast<sockaddr*>(&address), &size), 0);
-  return {listener, ntohs(address.sin_port)};
-}
 
 class DaemonTest : public ::testing::Test {
  protected:
@@ -206,14 +192,14 @@ TEST_F(DaemonTest, AHostOutlivesAGatewayThatIsKilledAndIsAdoptedWhenItReturns) {
 
 TEST_F(DaemonTest, AGatewayWhosePortIsTakenDoesNotRegister) {
   for (const std::string taken : {"thrift: {port: ", "metrics: {address: \"127.0.0.1:"}) {
-    const auto [listener, port] = taken_port();
+    const tests::LoopbackListener other;
     configure(TEST_PLUGINS);
     std::string config = tests::read_file(folder_ / "gateway.yaml");
     const bool thrift = taken.starts_with("thrift");
     if (thrift) {
-      config.replace(config.find("port: 0"), 7, "port: " + std::to_string(port));
+      config.replace(config.find("port: 0"), 7, "port: " + std::to_string(other.port()));
     } else {
-      config += taken + std::to_string(port) + "\"}\n";
+      config += taken + std::to_string(other.port()) + "\"}\n";
     }
     tests::write_file(folder_ / "gateway.yaml", config);
     start_daemon();
@@ -221,7 +207,6 @@ TEST_F(DaemonTest, AGatewayWhosePortIsTakenDoesNotRegister) {
     ASSERT_EQ(waitpid(std::exchange(daemon_, 0), &status, 0) > 0, true);
     EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) != 0) << status;
     EXPECT_FALSE(registry_->get(paths_.gateway("gw"_gateway))) << config;
-    close(listener);
   }
 }
 

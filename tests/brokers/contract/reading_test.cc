@@ -134,68 +134,67 @@ TEST_P(BrokerContract, ReadersThatAreNotExclusiveShareAQueue) {
   EXPECT_TRUE(two.wait_for(1));
 }
 
+/// A reader that settles nothing by itself, and a publisher that has sent so many messages.
+struct HoldingReader {
+  HoldingReader(Broker& broker, const Topic& topic, const SubscriptionOptions& options, int messages)
+      : subscription(broker.subscribe(topic, options, holder.handler())), publisher(broker.publisher(topic, {})) {
+    for (const auto& body : numbered(1, messages)) publisher->publish(text_message(body));
+  }
+  Holder holder;
+  const std::unique_ptr<Subscription> subscription;
+  const std::unique_ptr<Publisher> publisher;
+};
+
 TEST_P(BrokerContract, NeverHandsOutMoreThanThePrefetch) {
   const auto broker = this->broker();
-  const Topic topic = this->topic();
-  Holder holder;
   SubscriptionOptions options;
   options.prefetch = 5;
-  const auto subscription = broker->subscribe(topic, options, holder.handler());
-  const auto publisher = broker->publisher(topic, {});
-  for (const auto& body : numbered(1, 20)) publisher->publish(text_message(body));
-  ASSERT_TRUE(publisher->drain(patience));
-  ASSERT_TRUE(holder.wait_for(5));
-  EXPECT_FALSE(holder.wait_for(6, moment));
-  holder.settle(0, Settlement::accept);
-  holder.settle(1, Settlement::accept);
-  ASSERT_TRUE(holder.wait_for(7));
-  EXPECT_FALSE(holder.wait_for(8, moment));
-  holder.drop_all();
+  HoldingReader held(*broker, topic(), options, 20);
+  ASSERT_TRUE(held.publisher->drain(patience));
+  ASSERT_TRUE(held.holder.wait_for(5));
+  EXPECT_FALSE(held.holder.wait_for(6, moment));
+  held.holder.settle(0, Settlement::accept);
+  held.holder.settle(1, Settlement::accept);
+  ASSERT_TRUE(held.holder.wait_for(7));
+  EXPECT_FALSE(held.holder.wait_for(8, moment));
+  held.holder.drop_all();
 }
 
 TEST_P(BrokerContract, ARaisedPrefetchLetsMoreMessagesComeWhileNoneIsSettled) {
   const auto broker = this->broker();
-  const Topic topic = this->topic();
-  Holder holder;
   SubscriptionOptions options;
   options.prefetch = 5;
   options.prefetch_limit = 40;
-  const auto subscription = broker->subscribe(topic, options, holder.handler());
-  const auto publisher = broker->publisher(topic, {});
-  for (const auto& body : numbered(1, 100)) publisher->publish(text_message(body));
-  ASSERT_TRUE(holder.wait_for(5));
-  EXPECT_FALSE(holder.wait_for(6, moment));
-  EXPECT_TRUE(subscription->raise_prefetch(20));
-  ASSERT_TRUE(holder.wait_for(20));
-  EXPECT_FALSE(holder.wait_for(21, moment));
-  EXPECT_FALSE(subscription->raise_prefetch(41)) << "more than its limit";
-  EXPECT_TRUE(subscription->raise_prefetch(10)) << "fewer than before: nothing changes";
-  for (std::size_t i = 0; i < 10; ++i) holder.settle(i, Settlement::accept);
-  ASSERT_TRUE(holder.wait_for(30));
-  EXPECT_FALSE(holder.wait_for(31, moment));
-  EXPECT_TRUE(subscription->raise_prefetch(40));
-  ASSERT_TRUE(holder.wait_for(50));
-  holder.drop_all();
+  HoldingReader held(*broker, topic(), options, 100);
+  ASSERT_TRUE(held.holder.wait_for(5));
+  EXPECT_FALSE(held.holder.wait_for(6, moment));
+  EXPECT_TRUE(held.subscription->raise_prefetch(20));
+  ASSERT_TRUE(held.holder.wait_for(20));
+  EXPECT_FALSE(held.holder.wait_for(21, moment));
+  EXPECT_FALSE(held.subscription->raise_prefetch(41)) << "more than its limit";
+  EXPECT_TRUE(held.subscription->raise_prefetch(10)) << "fewer than before: nothing changes";
+  for (std::size_t i = 0; i < 10; ++i) held.holder.settle(i, Settlement::accept);
+  ASSERT_TRUE(held.holder.wait_for(30));
+  EXPECT_FALSE(held.holder.wait_for(31, moment));
+  EXPECT_TRUE(held.subscription->raise_prefetch(40));
+  ASSERT_TRUE(held.holder.wait_for(50));
+  held.holder.drop_all();
 }
 
 TEST_P(BrokerContract, SaysHowManyMessagesWaitForAReader) {
   const auto broker = this->broker();
-  const Topic topic = this->topic();
-  Holder holder;
   SubscriptionOptions options;
   options.prefetch = 5;
-  const auto subscription = broker->subscribe(topic, options, holder.handler());
-  const auto publisher = broker->publisher(topic, {});
-  for (const auto& body : numbered(1, 100)) publisher->publish(text_message(body));
-  ASSERT_TRUE(holder.wait_for(5));
+  HoldingReader held(*broker, topic(), options, 100);
+  ASSERT_TRUE(held.holder.wait_for(5));
   if (GetParam() == "activemq") {
-    EXPECT_EQ(subscription->backlog(), std::nullopt);
+    EXPECT_EQ(held.subscription->backlog(), std::nullopt);
   } else {
-    EXPECT_TRUE(tests::eventually([&] { return subscription->backlog() == 95; }));
-    for (std::size_t i = 0; i < 5; ++i) holder.settle(i, Settlement::accept);
-    EXPECT_TRUE(tests::eventually([&] { return subscription->backlog() == 90; }));
+    EXPECT_TRUE(tests::eventually([&] { return held.subscription->backlog() == 95; }));
+    for (std::size_t i = 0; i < 5; ++i) held.holder.settle(i, Settlement::accept);
+    EXPECT_TRUE(tests::eventually([&] { return held.subscription->backlog() == 90; }));
   }
-  holder.drop_all();
+  held.holder.drop_all();
 }
 
 TEST_P(BrokerContract, SettlesOutOfOrderWithoutStalling) {

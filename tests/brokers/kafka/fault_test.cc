@@ -74,25 +74,34 @@ class KafkaFault : public testing::Test {
   rd_kafka_mock_cluster_t* cluster_;
 };
 
+/// A reader of a topic, and a publisher with the outcomes of its messages.
+struct Traffic {
+  Traffic(Broker& broker, const Topic& topic)
+      : subscription(broker.subscribe(topic, {}, inbox.handler())), publisher(broker.publisher(topic, [this] {
+          PublisherOptions options;
+          options.on_outcome = outcomes.callback();
+          return options;
+        }())) {}
+  Inbox inbox;
+  Outcomes outcomes;
+  const std::unique_ptr<Subscription> subscription;
+  const std::unique_ptr<Publisher> publisher;
+};
+
 TEST_F(KafkaFault, ErrorsThatPassAreNotSeenAndNothingIsLost) {
   const auto broker = this->broker();
-  Inbox inbox;
-  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
-  PublisherOptions options;
-  Outcomes outcomes;
-  options.on_outcome = outcomes.callback();
-  const auto publisher = broker->publisher(topic(), options);
-  publisher->publish(text_message("0"));
-  ASSERT_TRUE(publisher->drain(patience));
+  Traffic traffic(*broker, topic());
+  traffic.publisher->publish(text_message("0"));
+  ASSERT_TRUE(traffic.publisher->drain(patience));
   fail_next(produce_request, {RD_KAFKA_RESP_ERR_NOT_LEADER_FOR_PARTITION, RD_KAFKA_RESP_ERR_REQUEST_TIMED_OUT,
                               RD_KAFKA_RESP_ERR_NOT_ENOUGH_REPLICAS, RD_KAFKA_RESP_ERR__TRANSPORT});
-  for (const auto& body : numbered(1, 200)) publisher->publish(text_message(body));
-  ASSERT_TRUE(publisher->drain(patience));
-  EXPECT_EQ(outcomes.count(Outcome::confirmed), 201U);
+  for (const auto& body : numbered(1, 200)) traffic.publisher->publish(text_message(body));
+  ASSERT_TRUE(traffic.publisher->drain(patience));
+  EXPECT_EQ(traffic.outcomes.count(Outcome::confirmed), 201U);
   // In any order, and some of them twice: the mock cluster ignores the sequence numbers by which a real one refuses
   // messages that come too early (the contract and the ledgers test real ones).
   std::set<std::string> arrived;
-  ASSERT_TRUE(inbox.wait_until([&](const auto& received) {
+  ASSERT_TRUE(traffic.inbox.wait_until([&](const auto& received) {
     for (const auto& one : received) arrived.insert(one.body);
     return arrived.size() >= 201;
   }));
@@ -177,22 +186,17 @@ TEST_F(KafkaFault, WhatTheLibraryOnlyTakesForStoredIsSentAgainAndMarked) {
     set_round_trip(0);
     const Topic topic{"", "topic" + std::to_string(round_trip), false};
     const auto broker = this->broker(std::chrono::seconds(5));
-    Inbox inbox;
-    const auto subscription = broker->subscribe(topic, {}, inbox.handler());
-    PublisherOptions options;
-    Outcomes outcomes;
-    options.on_outcome = outcomes.callback();
-    const auto publisher = broker->publisher(topic, options);
+    Traffic traffic(*broker, topic);
     const Message before = text_message("0");
-    publisher->publish(before);
-    ASSERT_TRUE(publisher->drain(patience));
+    traffic.publisher->publish(before);
+    ASSERT_TRUE(traffic.publisher->drain(patience));
     set_round_trip(round_trip);
     fail_next(produce_request, {RD_KAFKA_RESP_ERR_NOT_LEADER_FOR_PARTITION});
-    publish_two(*publisher, before.driver_id);
-    ASSERT_TRUE(publisher->drain(patience));
-    EXPECT_TRUE(outcomes.each_once());
-    ASSERT_TRUE(inbox.wait_for(3));
-    arrived = arrivals(inbox, before.driver_id);
+    publish_two(*traffic.publisher, before.driver_id);
+    ASSERT_TRUE(traffic.publisher->drain(patience));
+    EXPECT_TRUE(traffic.outcomes.each_once());
+    ASSERT_TRUE(traffic.inbox.wait_for(3));
+    arrived = arrivals(traffic.inbox, before.driver_id);
   }
   EXPECT_THAT(arrived, testing::ElementsAre("0", "2", "1 again"));
 }
@@ -220,29 +224,25 @@ TEST_F(KafkaFault, WhatIsRefusedInCompanyIsSentAgainAlone) {
                            RD_KAFKA_RESP_ERR_INVALID_RECORD}) {
     const auto broker = this->broker();
     const Topic topic{"", std::string("topic") + rd_kafka_err2name(error), false};
-    Inbox inbox;
-    const auto subscription = broker->subscribe(topic, {}, inbox.handler());
-    PublisherOptions options;
-    Outcomes outcomes;
-    options.on_outcome = outcomes.callback();
-    const auto publisher = broker->publisher(topic, options);
-    publisher->publish(text_message("0"));
-    ASSERT_TRUE(publisher->drain(patience));
+    Traffic traffic(*broker, topic);
+    traffic.publisher->publish(text_message("0"));
+    ASSERT_TRUE(traffic.publisher->drain(patience));
     set_round_trip(100);
     // On a busy machine the first message may go alone, and is rightly refused.
     std::size_t sent = 1, alone = 0;
     do {
       ASSERT_LT(alone, 20U);
       fail_next(produce_request, {error});
-      for (const auto& body : numbered(1, 20)) publisher->publish(text_message(body));
-      ASSERT_TRUE(publisher->drain(patience));
+      for (const auto& body : numbered(1, 20)) traffic.publisher->publish(text_message(body));
+      ASSERT_TRUE(traffic.publisher->drain(patience));
       sent += 20;
-      ASSERT_THAT(outcomes.count(Outcome::refused), testing::AnyOf(alone, alone + 1));
-    } while (std::exchange(alone, outcomes.count(Outcome::refused)) != outcomes.count(Outcome::refused));
+      ASSERT_THAT(traffic.outcomes.count(Outcome::refused), testing::AnyOf(alone, alone + 1));
+    } while (std::exchange(alone, traffic.outcomes.count(Outcome::refused)) !=
+             traffic.outcomes.count(Outcome::refused));
     set_round_trip(0);
-    EXPECT_EQ(outcomes.count(Outcome::confirmed), sent - alone);
-    EXPECT_TRUE(outcomes.each_once());
-    ASSERT_TRUE(inbox.wait_for(sent - alone));
+    EXPECT_EQ(traffic.outcomes.count(Outcome::confirmed), sent - alone);
+    EXPECT_TRUE(traffic.outcomes.each_once());
+    ASSERT_TRUE(traffic.inbox.wait_for(sent - alone));
   }
 }
 

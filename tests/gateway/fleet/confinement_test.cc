@@ -2,8 +2,6 @@
 #include <map>
 #include <string>
 
-#include <netinet/in.h>
-#include <sys/socket.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -13,6 +11,7 @@
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/fleet/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
+#include <iotcloud/tests/loopback_listener.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -20,28 +19,6 @@ namespace {
 using discovery::DriverState;
 using ::testing::HasSubstr;
 namespace fs = std::filesystem;
-
-/// Takes connections on a port of 127.0.0.1.
-class Listener {
- public:
-  Listener() : socket_(::socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    socklen_t size = sizeof(address);
-    const bool listens = bind(socket_.get(), reinterpret_cast<sockaddr*>(&address), size) == 0 &&
-                         listen(socket_.get(), 16) == 0 &&
-                         getsockname(socket_.get(), reinterpret_cast<sockaddr*>(&address), &size) == 0;
-    EXPECT_TRUE(listens);
-    number_ = ntohs(address.sin_port);
-  }
-  std::uint16_t number() const { return number_; }
-  std::string port() const { return std::to_string(number_); }
-
- private:
-  const processes::OwnedDescriptor socket_;
-  std::uint16_t number_ = 0;
-};
 
 class ConfinedHosts : public ProcessTest {
  protected:
@@ -118,9 +95,9 @@ TEST_F(ConfinedHosts, HaveAsManyProcessesAsTheyMay) {
 TEST_F(ConfinedHosts, ConnectOnlyToThePortsThatTheyMay) {
   if (processes::landlock_version() < processes::landlock_of_connections)
     GTEST_SKIP() << "this kernel cannot restrict connections";
-  const Listener allowed, other;
+  const tests::LoopbackListener allowed, other;
   const std::map<std::string, std::string> asks{
-      {"port", allowed.port()}, {"other_port", other.port()}, {"near", "127.0.0.1"}};
+      {"port", std::to_string(allowed.port())}, {"other_port", std::to_string(other.port())}, {"near", "127.0.0.1"}};
   auto found = facts(asks);
   for (const char* fact : {"port", "other_port", "other_port_by_first_data", "near"}) {
     EXPECT_EQ(found[fact], "ok") << fact << ", the attack, without a confinement";
@@ -128,7 +105,7 @@ TEST_F(ConfinedHosts, ConnectOnlyToThePortsThatTheyMay) {
   take_back("a");
   gateway_.reset();
   confinement_.no_new_privileges = confinement_.filter_calls = true;
-  ports_ = {{"all", {9}}, {"confined.so", {allowed.number()}}, {"another.so", {other.number()}}};
+  ports_ = {{"all", {9}}, {"confined.so", {allowed.port()}}, {"another.so", {other.port()}}};
   found = facts(asks);
   EXPECT_EQ(found["port"], "ok") << "the configuration names it for this plugin";
   EXPECT_EQ(found["other_port"], "EACCES");

@@ -3,12 +3,11 @@
 #include <set>
 #include <sstream>
 
-#include <arpa/inet.h>
 #include <gmock/gmock.h>
-#include <sys/socket.h>
 #include <unistd.h>
 #include <yaml-cpp/yaml.h>
 
+#include <iotcloud/tests/loopback_listener.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 
 namespace iotcloud::master::test {
@@ -196,16 +195,8 @@ TEST_F(CliVerbs, WhenNoMasterAnswersNothingIsCompletedAndNothingIsSaid) {
   EXPECT_THAT(complete({"--master", "nonsense", "drain", ""}), IsEmpty());
   EXPECT_THAT(complete({"--token-file", "/nonexistent", "drain", ""}), IsEmpty());
   // One that takes the connection and says nothing.
-  const int silent = socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0);
-  sockaddr_in address{};
-  address.sin_family = AF_INET;
-  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-  socklen_t size = sizeof address;
-  ASSERT_EQ(bind(silent, reinterpret_cast<sockaddr*>(&address), size), 0);
-  ASSERT_EQ(listen(silent, 1), 0);
-  ASSERT_EQ(getsockname(silent, reinterpret_cast<sockaddr*>(&address), &size), 0);
-  EXPECT_THAT(complete({"--master", "127.0.0.1:" + std::to_string(ntohs(address.sin_port)), "drain", ""}), IsEmpty());
-  close(silent);
+  const iotcloud::tests::LoopbackListener silent;
+  EXPECT_THAT(complete({"--master", "127.0.0.1:" + std::to_string(silent.port()), "drain", ""}), IsEmpty());
 }
 
 TEST_F(CliVerbs, BashCompletesWithThePrintedScript) {

@@ -145,20 +145,23 @@ class Endpoints : public ::testing::Test {
     driver.instance = discovery::InstanceId(instance);
     driver.gateway = "g"_gateway;
     driver.state = state;
-    for (const std::string name : {"up", "down"}) {
-      discovery::ChannelRecord channel;
-      channel.name = name;
-      channel.transport = transport;
-      channel.direction = name == "up" ? discovery::Direction::out : discovery::Direction::in;
-      channel.properties = {{"routingKey", name}};
-      channel.broker_url = broker_url_;
-      channel.gateway = "g"_gateway;
-      channel.driver = "d"_driver;
-      channel.instance = discovery::InstanceId(instance);
-      discovery::put(*registry_, paths_.channel("d"_driver, discovery::InstanceId(instance), name),
-                     discovery::encode(channel));
-    }
+    show_channel(instance, "up", discovery::Direction::out, transport);
+    show_channel(instance, "down", discovery::Direction::in, transport);
     discovery::put(*registry_, paths_.instance("d"_driver, discovery::InstanceId(instance)), discovery::encode(driver));
+  }
+  /// One channel of a driver.
+  void show_channel(const std::string& instance, const std::string& name, discovery::Direction direction,
+                    const std::string& transport = "rabbitmq") {
+    discovery::ChannelRecord channel;
+    channel.name = name;
+    channel.transport = transport;
+    channel.direction = direction;
+    channel.properties = {{"routingKey", name}};
+    channel.broker_url = broker_url_;
+    channel.gateway = "g"_gateway;
+    channel.driver = "d"_driver;
+    channel.instance = discovery::InstanceId(instance);
+    discovery::put(*registry_, paths_.channel("d"_driver, channel.instance, name), discovery::encode(channel));
   }
   static std::string topic(const std::string& instance, const std::string& channel) {
     return "g.d." + instance + "." + channel;

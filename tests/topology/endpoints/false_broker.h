@@ -2,14 +2,14 @@
 
 #include <array>
 #include <mutex>
-#include <stdexcept>
 #include <string>
 #include <thread>
 
-#include <netinet/in.h>
 #include <poll.h>
 #include <sys/socket.h>
 #include <unistd.h>
+
+#include <iotcloud/tests/loopback_listener.h>
 
 namespace iotcloud::topology {
 
@@ -17,26 +17,13 @@ namespace iotcloud::topology {
 /// answer: a thief's server, to which a record in the registry leads. One client at a time.
 class FalseBroker {
  public:
-  FalseBroker() : listener_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
-    sockaddr_in address{};
-    address.sin_family = AF_INET;
-    address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
-    socklen_t size = sizeof address;
-    if (bind(listener_, reinterpret_cast<sockaddr*>(&address), size) != 0 || listen(listener_, 8) != 0 ||
-        getsockname(listener_, reinterpret_cast<sockaddr*>(&address), &size) != 0) {
-      throw std::runtime_error("no port to listen on");
-    }
-    port_ = ntohs(address.sin_port);
+  FalseBroker() {
     thread_ = std::jthread([this](const std::stop_token& stop) { serve(stop); });
-  }
-  ~FalseBroker() {
-    thread_ = {};
-    close(listener_);
   }
   FalseBroker(const FalseBroker&) = delete;
   FalseBroker& operator=(const FalseBroker&) = delete;
 
-  std::string url() const { return "amqp://127.0.0.1:" + std::to_string(port_); }
+  std::string url() const { return "amqp://127.0.0.1:" + std::to_string(listener_.port()); }
   /// Everything that clients have sent.
   std::string heard() const {
     const std::lock_guard lock(mutex_);
@@ -53,8 +40,8 @@ class FalseBroker {
 
   void serve(const std::stop_token& stop) {
     while (!stop.stop_requested()) {
-      if (!readable(listener_)) continue;
-      const int client = accept4(listener_, nullptr, nullptr, SOCK_CLOEXEC);
+      if (!readable(listener_.socket())) continue;
+      const int client = listener_.accept();
       if (client < 0) continue;
       static const std::string start =
           std::string("\x01\0\0\0\0\0\x1c\0\x0a\0\x0a\0\x09\0\0\0\0", 17) + std::string(
@@ -74,11 +61,10 @@ class FalseBroker {
     }
   }
 
-  const int listener_;
-  int port_ = 0;
+  const tests::LoopbackListener listener_;
   mutable std::mutex mutex_;
-  std::string heard_;  ///< guarded by mutex_
-  std::jthread thread_;
+  std::string heard_;    ///< guarded by mutex_
+  std::jthread thread_;  ///< last: it uses the others
 };
 
 }  // namespace iotcloud::topology

@@ -53,16 +53,7 @@ class DriversWithSeveralChannels : public Endpoints {
       show_driver(id);
       if (i >= with_side) continue;
       sides_.push_back(broker_->publisher({"", topic(id, "side"), false}, many()));
-      discovery::ChannelRecord channel;
-      channel.name = "side";
-      channel.transport = "rabbitmq";
-      channel.direction = discovery::Direction::out;
-      channel.properties = {{"routingKey", "side"}};
-      channel.broker_url = broker_url_;
-      channel.gateway = "g"_gateway;
-      channel.driver = "d"_driver;
-      channel.instance = discovery::InstanceId(id);
-      discovery::put(*registry_, paths_.channel("d"_driver, channel.instance, "side"), discovery::encode(channel));
+      show_channel(id, "side", discovery::Direction::out);
     }
   }
 

@@ -51,7 +51,7 @@ class RedisPool {
   void begin_generation() IOTCLOUD_REQUIRES(mutex_);
 
   const RedisAddress address_;
-  mutable config::Mutex mutex_;  ///< no thread holds it while it waits for a server
+  config::Mutex mutex_;  ///< no thread holds it while it waits for a server
   std::vector<std::unique_ptr<RedisConnection>> idle_ IOTCLOUD_GUARDED_BY(mutex_);
   /// How often all connections were given up; those that were lent before the last time are not taken back.
   std::uint64_t generation_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
