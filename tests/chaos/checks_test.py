@@ -85,8 +85,8 @@ class Converged(unittest.TestCase):
 
 
 class Grown(unittest.TestCase):
-    BEFORE = {"master-1": {"descriptors": 30, "threads": 9, "memory MB": 20.0},
-              "worker-1": {"descriptors": 30, "threads": 9, "memory MB": 100.0}}
+    BEFORE = {"master-1": {"descriptors": 30, "threads": 9, checks.CLIENTS: 0, "memory MB": 20.0},
+              "worker-1": {"descriptors": 30, "threads": 9, checks.CLIENTS: 2, "memory MB": 100.0}}
 
     def grown(self, daemon, **figures):
         after = {name: dict(values) for name, values in self.BEFORE.items()}
@@ -107,6 +107,14 @@ class Grown(unittest.TestCase):
         self.assertEqual(self.grown("master-1", memory_MB=21.0 + checks.GROWTH_MB),
                          ["master-1 has 61 memory MB, before the faults it had 20"])
         self.assertEqual(self.grown("worker-1", memory_MB=201.0), ["worker-1 has 201 memory MB, before the faults it had 100"])
+
+    def test_is_not_what_the_clients_of_partitions_that_moved_here_need(self):
+        allowed = 9 + checks.MORE["threads"] + 3 * checks.OF_A_CLIENT["threads"]
+        self.assertEqual(self.grown("worker-1", librdkafka_clients=5, threads=allowed), [])
+        self.assertEqual(self.grown("worker-1", librdkafka_clients=5, threads=allowed + 1),
+                         ["worker-1 has 30 threads, before the faults it had 9"])
+        self.assertEqual(self.grown("worker-1", librdkafka_clients=6),
+                         ["worker-1 has 6 librdkafka clients, before the faults it had 2"])
 
     def test_is_not_what_is_known_of_one_side_only(self):
         self.assertEqual(checks.grown({"master-1": None}, self.BEFORE), [])
@@ -135,8 +143,9 @@ class Grown(unittest.TestCase):
         with tempfile.TemporaryDirectory() as folder, mock.patch.object(checks, "PROC", Path(folder)):
             for part in ("7/fd/0", "7/fd/1", "7/fd/2", "7/task/7"):
                 Path(folder, part).mkdir(parents=True)
+            Path(folder, "7/task/7/comm").write_text("rdk:main\n")
             Path(folder, "7/status").write_text("Name:\tx\nVmRSS:\t 9999 kB\nRssAnon:\t 2048 kB\n")
-            self.assertEqual(checks.figures(7), {"descriptors": 3, "threads": 1, "memory MB": 2.0})
+            self.assertEqual(checks.figures(7), {"descriptors": 3, "threads": 1, checks.CLIENTS: 1, "memory MB": 2.0})
             self.assertIsNone(checks.figures(8), "there is no such process")
 
 
