@@ -269,11 +269,14 @@ void OrderedInstances::abandon(milliseconds limit, std::function<void()> done) {
   stop(limit, std::move(done));
 }
 
-/// Removes records of instances whose orders were removed while no gateway ran.
+/// Removes records of instances whose orders were removed while no gateway ran, and tells the writer of the others: an
+/// instance may have had another driver's name when its record was written.
 void OrderedInstances::remove_stale_records(const std::set<discovery::InstanceId>& ordered) {
   try {
     for (const auto& record : discovery::list_drivers(*options_.registry, options_.paths)) {
-      if (record.gateway != options_.gateway || ordered.contains(record.instance)) continue;
+      if (record.gateway != options_.gateway) continue;
+      records_.found(record.name, record.instance);
+      if (ordered.contains(record.instance)) continue;
       if (entries_.contains(record.instance)) continue;  // the instance runs: forget() removes its record
       logger.info("removing the record of {} {}: it is not ordered any more", record.name, record.instance);
       records_.erase(record.name, record.instance);

@@ -30,6 +30,12 @@ void RecordWriter::resume() {
   flush();
 }
 
+void RecordWriter::found(const discovery::DriverName& driver, const discovery::InstanceId& instance) {
+  Entry& entry = entries_[instance];
+  entry.under.insert(driver);
+  if (entry.wanted && entry.wanted->name != driver) entry.dirty = true;
+}
+
 bool RecordWriter::has_written(const discovery::InstanceId& instance) const {
   const auto found = entries_.find(instance);
   return found != entries_.end() && found->second.written;
@@ -40,7 +46,7 @@ void RecordWriter::restore() {
   std::vector<Entry*> wanted;
   for (auto& [instance, entry] : entries_) {
     if (!entry.wanted) continue;
-    paths.push_back(paths_.instance(entry.driver, instance));
+    paths.push_back(paths_.instance(entry.wanted->name, instance));
     wanted.push_back(&entry);
   }
   const auto nodes = registry_.get_all(paths);
@@ -55,18 +61,11 @@ void RecordWriter::restore() {
 
 void RecordWriter::put(const discovery::DriverRecord& record) {
   auto& entry = entries_[record.instance];
-  if (!entry.driver.empty() && entry.driver != record.name && !paused_ && !closed_) {
-    // The driver was renamed (now the plugin's own name is known): remove the record at the old path.
-    try {
-      remove_record(entry.driver, record.instance);
-    } catch (const RegistryError& e) {
-      logger.warn("the record of {} under its former name {} was not removed: {}", record.instance, entry.driver,
-                  e.what());
-    }
+  if (entry.wanted && entry.wanted->name != record.name) {  // now the plugin's own name is known
     entry.channels.reset();
     entry.shown.reset();
   }
-  entry.driver = record.name;
+  entry.under.insert(record.name);
   entry.wanted = record;
   entry.dirty = true;
   write(record.instance, entry);
@@ -74,7 +73,7 @@ void RecordWriter::put(const discovery::DriverRecord& record) {
 
 void RecordWriter::erase(const discovery::DriverName& driver, const discovery::InstanceId& instance) {
   auto& entry = entries_[instance];
-  if (entry.driver.empty()) entry.driver = driver;
+  entry.under.insert(driver);
   entry.wanted.reset();
   entry.dirty = true;
   if (write(instance, entry)) entries_.erase(instance);
@@ -84,7 +83,7 @@ bool RecordWriter::flush() {
   bool all = true;
   for (auto it = entries_.begin(); it != entries_.end();) {
     all = (!it->second.dirty || write(it->first, it->second)) && all;
-    it = !it->second.dirty && !it->second.wanted ? entries_.erase(it) : std::next(it);
+    it = it->second.under.empty() ? entries_.erase(it) : std::next(it);
   }
   return all;
 }
@@ -92,11 +91,8 @@ bool RecordWriter::flush() {
 bool RecordWriter::write(const discovery::InstanceId& instance, Entry& entry) {
   if (paused_ || closed_ || registry_.session() != discovery::SessionState::connected) return false;
   try {
-    if (entry.wanted) {
-      write_record(*entry.wanted, entry);
-    } else {
-      remove_record(entry.driver, instance);
-    }
+    remove_unwanted(instance, entry);
+    if (entry.wanted) write_record(*entry.wanted, entry);
     entry.dirty = false;
     entry.written = true;
     told_away_ = false;
@@ -107,6 +103,17 @@ bool RecordWriter::write(const discovery::InstanceId& instance, Entry& entry) {
     entry.channels.reset();  // it is not known which channels were written
     entry.shown.reset();
     return false;
+  }
+}
+
+void RecordWriter::remove_unwanted(const discovery::InstanceId& instance, Entry& entry) {
+  for (auto driver = entry.under.begin(); driver != entry.under.end();) {
+    if (entry.wanted && entry.wanted->name == *driver) {
+      ++driver;
+      continue;
+    }
+    remove_record(*driver, instance);
+    driver = entry.under.erase(driver);
   }
 }
 

@@ -29,6 +29,9 @@ class RecordWriter {
   /// Finds the records that the registry lost, or has in another version than this writer wrote last; flush() puts them
   /// back. \throws discovery::RegistryError.
   void restore();
+  /// The registry has a record of the instance under this driver, which this gateway wrote before it was started again.
+  /// If the instance's record is written under another driver's name, or removed, this one is removed, too.
+  void found(const discovery::DriverName& driver, const discovery::InstanceId& instance);
   /// Whether this writer has written a record of the instance.
   bool has_written(const discovery::InstanceId& instance) const;
 
@@ -40,15 +43,18 @@ class RecordWriter {
 
  private:
   struct Entry {
-    discovery::DriverName driver;                   ///< the driver under which the record is or was written
-    std::optional<discovery::DriverRecord> wanted;  ///< the record to write; nullopt: the record is to be removed
+    /// The drivers under which the registry has, or may have, a record of the instance. Until the plugin has told its
+    /// driver's name, this is the plugin's name.
+    std::set<discovery::DriverName> under;
+    std::optional<discovery::DriverRecord> wanted;  ///< the record to write; nullopt: none is to be there
     std::optional<std::set<std::string>> channels;  ///< names of the channels in the registry; nullopt: not known yet
     /// The channels as last written for an `active` record; nullopt: they must be written.
     std::optional<std::vector<discovery::ChannelRecord>> shown;
-    bool dirty = true;
+    bool dirty = false;
     bool written = false;  ///< the registry had it once
   };
   bool write(const discovery::InstanceId& instance, Entry& entry);
+  void remove_unwanted(const discovery::InstanceId& instance, Entry& entry);
   void write_record(const discovery::DriverRecord& record, Entry& entry);
   void remove_record(const discovery::DriverName& driver, const discovery::InstanceId& instance);
 

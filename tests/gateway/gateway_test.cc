@@ -2,6 +2,7 @@
 #include <string>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/discovery/id_literals.h>
@@ -363,6 +364,23 @@ TEST_F(GatewayTest, RecordsOfAnEarlierLifeWithoutOrdersAreRemoved) {
   start_gateway();
   EXPECT_TRUE(eventually([&] { return !record("old"); }));
   EXPECT_TRUE(record("else"));
+}
+
+TEST_F(GatewayTest, ARecordOfAnEarlierLifeUnderThePluginsNameDoesNotStayBesideTheDriversOwn) {
+  discovery::DriverRecord before;
+  before.name = "probe_plugin"_driver;
+  before.instance = "a"_instance;
+  before.gateway = "gw"_gateway;
+  before.state = DriverState::deployed;
+  const std::string path = paths_.instance("probe_plugin"_driver, "a"_instance);
+  discovery::put(*registry_, path, encode(before));
+  give(order("a"));
+  start_gateway();
+  EXPECT_TRUE(eventually([&] {
+    return !registry_->get(path) && registry_->get(paths_.instance("probe"_driver, "a"_instance));
+  }));
+  take_back("a");
+  EXPECT_TRUE(eventually([&] { return discovery::list_drivers(*registry_, paths_).empty(); }));
 }
 
 TEST_F(GatewayTest, WhenItStopsItsInstancesAreInactiveAndItsOrdersStand) {
