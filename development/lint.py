@@ -1,16 +1,20 @@
 #!/usr/bin/python3
-"""Runs clang-tidy on each of the files named on stdin, as many at once as there are cores.
+"""Runs clang-tidy on the sources of the tree, as many at once as there are cores.
 
-usage: lint.py --build FOLDER [--seconds N] <FILES      FOLDER: configured without unity builds and precompiled headers
+usage: lint.py --build FOLDER [--since COMMIT] [--in-time]
+       FOLDER: configured without unity builds and precompiled headers
 
-Each file is read alone, so one that forgets an include is found. After --seconds no further file is started, and the
-files left out are named. A file that was found clean is not looked at again until it, a header, a definition in Thrift,
+It looks at all sources, or at those sources and headers that changed since COMMIT; files that git does not know yet
+belong to both. Each file is read alone, so one that forgets an include is found. With --in-time no further file is
+started after the `lint_seconds` of limits.json, which are a part of its `minutes`; the last line says how many files
+were left out, and which. A file that was found clean is not looked at again until it, a header, a definition in Thrift,
 a CMake file or clang-tidy's options change: FOLDER/clean remembers it. The exit status is 1 when clang-tidy found
 something.
 """
 import argparse
 import concurrent.futures
 import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -20,6 +24,22 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 from progress import PERIOD_S, in_minutes  # noqa: E402
+
+LIMITS = Path(__file__).resolve().parent / "limits.json"
+
+
+def git_files(*words):
+    said = subprocess.run(["git", *words], capture_output=True, check=True, text=True).stdout
+    return [file for file in said.split("\0") if file]
+
+
+def chosen(since):
+    """The files to look at: all sources, or the sources and headers that changed since a commit."""
+    untracked = ["ls-files", "-z", "--others", "--exclude-standard", "--"]
+    if since is None:
+        return sorted({*git_files("ls-files", "-z", "--cached", "--", "*.cc"), *git_files(*untracked, "*.cc")})
+    changed = git_files("diff", "-z", "--name-only", "--no-renames", "--diff-filter=d", since, "--", "*.cc", "*.h")
+    return sorted({*changed, *git_files(*untracked, "*.cc", "*.h")})
 
 
 def look_at(build, file, remembered):
@@ -37,10 +57,9 @@ class Remembered:
     def __init__(self, folder):
         self.folder = Path(folder)
         self.folder.mkdir(parents=True, exist_ok=True)
-        listed = subprocess.run(["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
-                                capture_output=True, check=True, text=True).stdout
+        listed = git_files("ls-files", "-z", "--cached", "--others", "--exclude-standard")
         self.shared = hashlib.sha256()
-        for file in sorted(listed.split("\0")):
+        for file in sorted(listed):
             if file.endswith((".h", ".thrift", ".cmake", "CMakeLists.txt", "CMakePresets.json", ".clang-tidy")):
                 self.add(self.shared, file)
 
@@ -62,13 +81,15 @@ class Remembered:
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--build", required=True)
-    parser.add_argument("--seconds", type=float, default=float("inf"))
+    parser.add_argument("--since")
+    parser.add_argument("--in-time", action="store_true")
     given = parser.parse_args()
+    seconds = json.loads(LIMITS.read_text(encoding="utf-8"))["lint_seconds"] if given.in_time else float("inf")
     remembered = Remembered(Path(given.build) / "clean")
-    named = sys.stdin.read().split()
+    named = [file for file in chosen(given.since) if Path(file).exists()]
     files = [file for file in named if not remembered.is_clean(file)]
-    if len(files) < len(named):
-        print(f"lint: {len(named) - len(files)} files are as they were when they were found clean")
+    print(f"lint: {len(named)} files" + (f" changed since {given.since[:12]}" if given.since else "") +
+          f"; {len(named) - len(files)} are as they were when they were found clean", flush=True)
     began = told = time.monotonic()
     done, bad = 0, 0
     terminal = sys.stdout.isatty()
@@ -77,7 +98,7 @@ def main():
         running = set()
         left_out = []
         while True:
-            while len(running) < os.cpu_count() and time.monotonic() - began < given.seconds:
+            while len(running) < os.cpu_count() and time.monotonic() - began < seconds:
                 file = next(waiting, None)
                 if file is None:
                     break
@@ -96,9 +117,10 @@ def main():
                 told = time.monotonic()
                 print(f"lint: {done} of {len(files)} files, {in_minutes(told - began)}", end="\r" if terminal else "\n",
                       flush=True)
-    print(f"lint: {done} files, {bad} with findings, {in_minutes(time.monotonic() - began)}")
+    closing = f"lint: {done} files, {bad} with findings, {in_minutes(time.monotonic() - began)}"
     if left_out:
-        print(f"lint: {len(left_out)} files were not looked at within {given.seconds:.0f} s: {' '.join(left_out)}")
+        closing += f"; {len(left_out)} left out after {seconds:.0f} s: {' '.join(left_out)}"
+    print(closing)
     return 1 if bad else 0
 
 

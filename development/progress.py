@@ -3,9 +3,11 @@
 
 usage: ninja ... | progress.py build WHAT
        ctest ... | progress.py tests WHAT [--costs FILE]...      FILE: ctest's CTestCostData.txt of earlier runs
+       ... | progress.py other WHAT                              another program, which does not say how far it is
 
 Reads what the program prints. On a terminal one line is written over and over, otherwise a line every 30 s. Warnings,
-errors and tests that fail are passed on at once; the rest is in the file that the caller keeps.
+errors, tests that fail, and all that another program prints are passed on at once; the rest is in the file that the
+caller keeps.
 """
 import argparse
 import re
@@ -82,6 +84,25 @@ class Tests:
         return left + failed, ", ".join(self.running[-3:])
 
 
+class Other:
+    """Follows a program of which only the time is known that it has taken."""
+
+    def __init__(self, _costs):
+        pass
+
+    def take(self, line):
+        return line if line.strip() else None
+
+    def share(self):
+        return 0.0
+
+    def text(self):
+        return "under way", ""
+
+
+KINDS = {"build": Build, "tests": Tests, "other": Other}
+
+
 def read_costs(files):
     """Seconds of each test in earlier runs. Skips missing files."""
     costs = {}
@@ -146,11 +167,11 @@ def lines_with_pauses(stream, period):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("kind", choices=["build", "tests"])
+    parser.add_argument("kind", choices=list(KINDS))
     parser.add_argument("what")
     parser.add_argument("--costs", action="append", default=[])
     given = parser.parse_args()
-    work = (Build if given.kind == "build" else Tests)(read_costs(given.costs))
+    work = KINDS[given.kind](read_costs(given.costs))
     teller = Teller(given.what, work, sys.stdout)
     for line in lines_with_pauses(sys.stdin.buffer, 1):
         if line is not None:

@@ -1,6 +1,8 @@
 #!/usr/bin/python3
 """Tests which files development/lint.py gives to clang-tidy, with a program in its place."""
+import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -20,13 +22,21 @@ class LintTest(unittest.TestCase):
         folder = tempfile.TemporaryDirectory(prefix="iotcloud-lint-")
         self.addCleanup(folder.cleanup)
         self.tree = Path(folder.name)
-        subprocess.run(["git", "init", "-q"], cwd=self.tree, check=True)
+        self.git("init", "-q")
         (self.tree / "clang-tidy-14").write_text(TIDY)
         (self.tree / "clang-tidy-14").chmod(0o755)
-        (self.tree / ".gitignore").write_text("build\nlooked_at\n")
+        (self.tree / ".gitignore").write_text("build\nlooked_at\nclang-tidy-14\n__pycache__\n")
         self.write("good.cc", "int good;")
         self.write("bad.cc", "int bad;")
         self.write("any.h", "int any;")
+        (self.tree / "development").mkdir()
+        for name in ("lint.py", "progress.py", "limits.json"):
+            shutil.copy(LINT.parent / name, self.tree / "development")
+        self.git("add", ".")
+        self.git("commit", "-q", "-m", "all")
+
+    def git(self, *words):
+        subprocess.run(["git", "-c", "user.name=it", "-c", "user.email=it@localhost", *words], cwd=self.tree, check=True)
 
     def write(self, name, text):
         (self.tree / name).write_text(text)
@@ -35,8 +45,8 @@ class LintTest(unittest.TestCase):
         """Returns the files that clang-tidy looked at, and what was printed."""
         looked_at = self.tree / "looked_at"
         looked_at.write_text("")
-        done = subprocess.run([sys.executable, str(LINT), "--build", "build", *options], cwd=self.tree, text=True,
-                              input="good.cc\nbad.cc\n", capture_output=True,
+        done = subprocess.run([sys.executable, "development/lint.py", "--build", "build", *options], cwd=self.tree,
+                              text=True, capture_output=True,
                               env={**os.environ, "PATH": f"{self.tree}:{os.environ['PATH']}"})
         self.assertEqual(done.returncode, status, done.stderr)
         return sorted(looked_at.read_text().split()), done.stdout
@@ -45,7 +55,7 @@ class LintTest(unittest.TestCase):
         self.assertEqual(self.lint(status=1)[0], ["bad.cc", "good.cc"])
         looked_at, said = self.lint(status=1)
         self.assertEqual(looked_at, ["bad.cc"])
-        self.assertIn("1 files are as they were", said)
+        self.assertIn("2 files; 1 are as they were", said)
         self.write("bad.cc", "int mended;")
         self.assertEqual(self.lint(status=0)[0], ["bad.cc"])
         self.assertEqual(self.lint(status=0)[0], [])
@@ -65,10 +75,21 @@ class LintTest(unittest.TestCase):
         self.assertEqual(self.lint(status=0)[0], ["bad.cc", "good.cc"])
 
     def test_what_was_not_looked_at_in_time_is_named_and_not_taken_for_clean(self):
-        looked_at, said = self.lint("--seconds", "0", status=0)
+        limits = self.tree / "development/limits.json"
+        limits.write_text(json.dumps({**json.loads(limits.read_text()), "lint_seconds": 0}))
+        looked_at, said = self.lint("--in-time", status=0)
         self.assertEqual(looked_at, [])
-        self.assertIn("good.cc bad.cc", said)
+        self.assertTrue(said.endswith("; 2 left out after 0 s: bad.cc good.cc\n"), said)
         self.assertEqual(self.lint(status=1)[0], ["bad.cc", "good.cc"])
+
+    def test_since_a_commit_what_changed_and_what_git_does_not_know_is_looked_at(self):
+        self.write("good.cc", "int better;")
+        self.write("new.cc", "int it;")
+        self.write("new with a space.h", "int it;")
+        self.assertEqual(self.lint("--since", "HEAD", status=0)[0], sorted("good.cc new.cc new with a space.h".split()))
+        self.assertEqual(self.lint(status=1)[0], ["bad.cc"])
+        self.git("mv", "bad.cc", "worse.cc")
+        self.assertEqual(self.lint("--since", "HEAD", status=1)[0], ["worse.cc"])
 
 
 if __name__ == "__main__":

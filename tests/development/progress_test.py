@@ -56,6 +56,16 @@ class TellerTest(unittest.TestCase):
             teller.tick()
         self.assertEqual(out.getvalue(), "building release: step 10 of 40, 31 s, about 1.6 min left   x\n")
 
+    def test_of_another_program_it_tells_the_time_and_passes_on_all_lines(self):
+        now = [0.0]
+        out = io.StringIO()
+        other = progress.Other({})
+        teller = progress.Teller("the Java servers", other, out, lambda: now[0])
+        for now[0] in (29.0, 31.0, 60.0, 62.0):
+            teller.tick()
+        self.assertEqual(out.getvalue(), "the Java servers: under way, 31 s\nthe Java servers: under way, 62 s\n")
+        self.assertEqual(other.take("Maven cannot fetch the jars"), "Maven cannot fetch the jars")
+
 
 if __name__ == "__main__":
     unittest.main()
