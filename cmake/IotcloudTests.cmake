@@ -19,6 +19,36 @@ function(_iotcloud_test_labels out)
   set(${out} ${kind} ${room} ${arg_LABELS} ${arg_SANITIZERS} PARENT_SCOPE)
 endfunction()
 
+# What ./dev test reads before it builds anything (development/choose.py): a line for each test, or for each program whose
+# tests only its sources name: NAME, "test" or "program", labels, targets, sources.
+function(_iotcloud_list_test)
+  cmake_parse_arguments(arg "" "NAME;HOW" "LABELS;TARGETS;SOURCES" ${ARGN})
+  set(sources)
+  foreach(source ${arg_SOURCES})
+    get_filename_component(source ${source} ABSOLUTE)
+    list(APPEND sources ${source})
+  endforeach()
+  set(arg_SOURCES ${sources})
+  foreach(what LABELS TARGETS SOURCES)
+    list(JOIN arg_${what} " " arg_${what})
+  endforeach()
+  set_property(GLOBAL APPEND_STRING PROPERTY IOTCLOUD_TESTS
+               "${arg_NAME}\t${arg_HOW}\t${arg_LABELS}\t${arg_TARGETS}\t${arg_SOURCES}\n")
+endfunction()
+
+# A test, or a program of tests, that cannot be built here because `label`'s packages are missing: ./dev test installs
+# them when the test is asked for.
+#   iotcloud_left_out(NAME ros_turtle_test LABELS server ros [SOURCES ros_turtle_test.cc])
+function(iotcloud_left_out)
+  cmake_parse_arguments(arg "" "NAME" "LABELS;SOURCES" ${ARGN})
+  _iotcloud_test_labels(labels LABELS ${arg_LABELS})
+  set(how test)
+  if(arg_SOURCES)
+    set(how program)
+  endif()
+  _iotcloud_list_test(NAME ${arg_NAME} HOW ${how} LABELS ${labels} SOURCES ${arg_SOURCES})
+endfunction()
+
 # `java` if the word names a server that runs on Java.
 function(_iotcloud_java_label out word)
   set(${out} "" PARENT_SCOPE)
@@ -27,39 +57,24 @@ function(_iotcloud_java_label out word)
   endif()
 endfunction()
 
-# The targets tests_<room> and tests_<room>_unit build what a room's tests need, tests_all and tests_all_unit what all
-# tests need; sanitized_<room> and so on leave out the tests that do not declare the preset's sanitizers.
+# The target sanitized_all builds the tests that declare the preset's sanitizers. ./dev test with a choice of tests builds
+# what development/choose.py says.
 function(_iotcloud_needed_by_tests)
   cmake_parse_arguments(arg "" "" "TARGETS;LABELS" ${ARGN})
-  list(GET arg_LABELS 0 kind)
-  list(GET arg_LABELS 1 room)
-  foreach(group tests sanitized)
-    foreach(place ${room} ${room}_unit all all_unit)
-      if(NOT TARGET ${group}_${place})
-        add_custom_target(${group}_${place})
-      endif()
-    endforeach()
-  endforeach()
-  set(groups tests)
-  if((asan IN_LIST arg_LABELS AND IOTCLOUD_SANITIZE MATCHES address) OR
-     (tsan IN_LIST arg_LABELS AND IOTCLOUD_SANITIZE MATCHES thread))
-    list(APPEND groups sanitized)
+  if(NOT TARGET sanitized_all)
+    add_custom_target(sanitized_all)
   endif()
-  if(arg_TARGETS)
-    foreach(group ${groups})
-      add_dependencies(${group}_${room} ${arg_TARGETS})
-      add_dependencies(${group}_all ${arg_TARGETS})
-      if(kind STREQUAL unit)
-        add_dependencies(${group}_${room}_unit ${arg_TARGETS})
-        add_dependencies(${group}_all_unit ${arg_TARGETS})
-      endif()
-    endforeach()
+  if(arg_TARGETS AND ((asan IN_LIST arg_LABELS AND IOTCLOUD_SANITIZE MATCHES address) OR
+                      (tsan IN_LIST arg_LABELS AND IOTCLOUD_SANITIZE MATCHES thread)))
+    add_dependencies(sanitized_all ${arg_TARGETS})
   endif()
 endfunction()
 
 # A GoogleTest program; each of its tests is a test of ctest.
 #   LABELS: one of `unit`, `contract`, `server`, `system`, `long` (tests/README.md says what they mean), then `java` if
-#   it starts servers from Maven Central, and `ros` if it needs ROS: ./dev test fetches these for no other test.
+#   it starts servers from Maven Central, `ros` if it needs ROS, and `serverless` if it is no unit test and starts no
+#   server: ./dev test installs and fetches what the labels of the chosen tests say. A server of tests/servers does not
+#   start for a test whose labels say that it needs none (its environment has IOTCLOUD_TEST_LABELS).
 #   SANITIZERS: those under which ./dev test runs it too: asan if it handles bytes or lifetimes of its own, tsan if it
 #   has threads. Both are the default of `unit` and `contract`; `SANITIZERS none` turns them off.
 #   WHOLE words: its tests share servers that take seconds to start, so ctest runs the program once for each word, with
@@ -106,14 +121,20 @@ function(iotcloud_test)
           string(APPEND test .${shard})
         endif()
         add_test(NAME ${test} COMMAND ${arg_NAME} --gtest_filter=*${word}*)
+        list(JOIN own_labels "," told)
         set_tests_properties(${test} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${own_labels}" COST ${arg_TIMEOUT}
-          SKIP_RETURN_CODE ${skipped} ENVIRONMENT "GTEST_TOTAL_SHARDS=${count};GTEST_SHARD_INDEX=${shard}")
+          SKIP_RETURN_CODE ${skipped}
+          ENVIRONMENT "GTEST_TOTAL_SHARDS=${count};GTEST_SHARD_INDEX=${shard};IOTCLOUD_TEST_LABELS=${told}")
+        _iotcloud_list_test(NAME ${test} HOW test LABELS ${own_labels} TARGETS ${arg_NAME})
       endforeach()
     endforeach()
   else()
+    _iotcloud_list_test(NAME ${arg_NAME} HOW program LABELS ${labels} TARGETS ${arg_NAME} SOURCES ${arg_SOURCES})
+    list(JOIN labels "," told)
     # gtest_discover_tests() cannot pass on a list as a property's value, so the labels are set afterwards.
     gtest_discover_tests(${arg_NAME} TEST_LIST ${arg_NAME}_list DISCOVERY_TIMEOUT 60
-                         PROPERTIES TIMEOUT ${arg_TIMEOUT} SKIP_RETURN_CODE ${skipped})
+                         PROPERTIES TIMEOUT ${arg_TIMEOUT} SKIP_RETURN_CODE ${skipped}
+                                    ENVIRONMENT IOTCLOUD_TEST_LABELS=${told})
     set(script ${CMAKE_CURRENT_BINARY_DIR}/${arg_NAME}_labels.cmake)
     file(CONFIGURE OUTPUT ${script} CONTENT
 "foreach(test IN LISTS @arg_NAME@_list)
@@ -142,9 +163,12 @@ function(iotcloud_command_test)
     set(arg_TIMEOUT 300)
   endif()
   _iotcloud_test_labels(labels LABELS ${arg_LABELS})
+  list(JOIN labels "," told)
+  list(APPEND arg_ENVIRONMENT IOTCLOUD_TEST_LABELS=${told})
   add_test(NAME ${arg_NAME} COMMAND ${arg_COMMAND} WORKING_DIRECTORY ${arg_WORKING_DIRECTORY})
   set_tests_properties(${arg_NAME} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${labels}" SKIP_RETURN_CODE 77
                                               ENVIRONMENT "${arg_ENVIRONMENT}")
+  _iotcloud_list_test(NAME ${arg_NAME} HOW test LABELS ${labels} TARGETS ${arg_NEEDS})
   if(NOT arg_COST AND labels MATCHES "system")
     set(arg_COST 200)  # these take long, so ctest starts them early, and none of them is left to run alone at the end
   endif()

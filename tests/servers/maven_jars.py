@@ -24,6 +24,7 @@ UNREACHABLE = ("Could not transfer", "Unknown host", "Connection refused", "time
 
 def fetch(name):
     """Returns a class path with all jars of java/NAME/pom.xml. Raises Unavailable when they cannot be fetched."""
+    private_server.require_label("java")
     pom = os.path.join(HERE, "java", name, "pom.xml")
     with open(pom, "rb") as file:
         version = hashlib.sha256(file.read()).hexdigest()

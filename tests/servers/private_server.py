@@ -269,12 +269,22 @@ def serve(server):
             say("ERROR %s" % error)
 
 
+def require_label(*labels, of=True):
+    """Raises RuntimeError unless one of these is a label of the test that runs (not `of`: unless none is). `./dev test`
+    relies on labels when it installs and fetches servers. Outside of ctest everything is allowed."""
+    test = os.environ.get("IOTCLOUD_TEST_LABELS", "").split(",")
+    if test != [""] and any(label in test for label in labels) != of:
+        raise RuntimeError("the labels of this test (%s) say that it needs no such server; give it other LABELS where "
+                           "it is declared, as cmake/IotcloudTests.cmake tells" % " ".join(test))
+
+
 def run(make):
     """Serves what `make()` returns until stdin ends, and ends the script with its status."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the starter too, which closes stdin
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     server, status = None, 0
     try:
+        require_label("unit", "serverless", of=False)
         server = make()
         serve(server)
     except Unavailable as reason:

@@ -1,0 +1,122 @@
+#!/usr/bin/python3
+"""Says what chosen tests need, before anything is built.
+
+usage: choose.py BUILD_FOLDER [CTEST OPTIONS]
+
+Prints two lines: the targets that build the tests which these options of ctest choose (-R, -E, -L, -LE), and what else
+these tests need: servers (Debian's), tools (all other programs of system tests), java (servers from Maven Central),
+ros. It reads BUILD_FOLDER/test_list.tsv, which CMake writes. A test in it is known by name. Of a GoogleTest
+program it reads the tests' names in the sources and, once it was built, in the list that ctest has of it; a program
+with a parameterized test that has never been built is chosen when no name can rule it out.
+"""
+import re
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+TEST = re.compile(r"^\s*(TEST|TEST_F|TEST_P|TYPED_TEST|TYPED_TEST_P)\(\s*(\w+)\s*,\s*(\w+)\s*\)", re.MULTILINE)
+DISCOVERED = re.compile(r"^add_test\(\s*(?:\[=*\[)?(.+?)(?:\]=*\])?\s", re.MULTILINE)
+WITH_VALUE = ("-R", "-E", "-L", "-LE", "-I", "-j", "--repeat", "--timeout", "--schedule-random", "--output-log",
+              "--output-junit")
+LONG = {"--tests-regex": "-R", "--exclude-regex": "-E", "--label-regex": "-L", "--label-exclude": "-LE"}
+
+
+@dataclass
+class Listed:
+    """A line of test_list.tsv."""
+    name: str
+    is_program: bool
+    labels: list
+    targets: list
+    sources: list
+
+    @staticmethod
+    def of(line):
+        name, how, labels, targets, sources = line.split("\t")
+        return Listed(name, how == "program", labels.split(), targets.split(), sources.split())
+
+    def needs(self):
+        needs = {"java", "ros"}.intersection(self.labels)
+        if self.labels[0] != "unit" and "serverless" not in self.labels:
+            needs.add("servers")
+        if self.labels[0] in ("system", "long"):
+            needs.add("tools")
+        return needs
+
+
+class Options:
+    """What ctest's options demand of a test's name and labels."""
+
+    def __init__(self, words):
+        self.regexes = {"-R": [], "-E": [], "-L": [], "-LE": []}
+        words = list(words)
+        while words:
+            word = words.pop(0)
+            word, equals, value = word.partition("=") if word.startswith("--") else (word, "", "")
+            word = LONG.get(word, word)
+            if not equals and word in WITH_VALUE and words:
+                value = words.pop(0)
+            if word in self.regexes:
+                self.regexes[word].append(re.compile(value))
+
+    def take_labels(self, labels):
+        def has(regex):
+            return any(regex.search(label) for label in labels)
+        return all(map(has, self.regexes["-L"])) and not any(map(has, self.regexes["-LE"]))
+
+    def take_name(self, name):
+        return all(regex.search(name) for regex in self.regexes["-R"]) and not any(
+            regex.search(name) for regex in self.regexes["-E"])
+
+    def name_anything(self):
+        return not self.regexes["-R"]
+
+
+def discovered(build, program):
+    """The names that ctest knows of a program that was built; None: of one that was not."""
+    for file in build.glob(f"**/{program}[[]*[]]_tests.cmake"):
+        return DISCOVERED.findall(file.read_text(encoding="utf-8"))
+    return None
+
+
+def has_chosen(build, listed, options):
+    """Whether a program has, or may have, a test of a chosen name."""
+    if options.name_anything():
+        return True
+    built = discovered(build, listed.name)
+    if any(map(options.take_name, built or [])):
+        return True
+    for source in listed.sources:
+        text = Path(source).read_text(encoding="utf-8", errors="replace") if Path(source).exists() else ""
+        for macro, suite, name in TEST.findall(text):
+            if macro in ("TEST", "TEST_F"):
+                if options.take_name(f"{suite}.{name}"):
+                    return True
+            elif built is None:
+                return True
+    return False
+
+
+def choose(build, words):
+    """Returns the targets and the needs of the chosen tests."""
+    options = Options(words)
+    targets, needs = set(), set()
+    for line in (build / "test_list.tsv").read_text(encoding="utf-8").splitlines():
+        listed = Listed.of(line)
+        if not options.take_labels(listed.labels):
+            continue
+        if has_chosen(build, listed, options) if listed.is_program else options.take_name(listed.name):
+            targets.update(listed.targets)
+            needs.update(listed.needs())
+    return sorted(targets), sorted(needs)
+
+
+def main():
+    if len(sys.argv) < 2:
+        sys.exit(__doc__.split("\n\n")[1])
+    for words in choose(Path(sys.argv[1]), sys.argv[2:]):
+        print(*words)
+
+
+if __name__ == "__main__":
+    main()

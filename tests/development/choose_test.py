@@ -1,0 +1,72 @@
+#!/usr/bin/python3
+"""Tests what development/choose.py says that chosen tests need."""
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
+
+import choose  # noqa: E402
+
+OUTBOX = "TEST(Outbox, KeepsOrder) {}\nTEST_F(Ring, IsFull) {}\n"
+CONTRACT = "TEST_P(Registry, KeepsWatches) {}\n"
+
+
+class ChooseTest(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory(prefix="iotcloud-choose-")
+        self.addCleanup(folder.cleanup)
+        self.build = Path(folder.name)
+        (self.build / "outbox_test.cc").write_text(OUTBOX)
+        (self.build / "contract_test.cc").write_text(CONTRACT)
+        self.listed(("brokers_test", "program", "unit brokers asan", "brokers_test", "outbox_test.cc"),
+                    ("registry_test", "program", "contract discovery", "registry_test", "contract_test.cc"),
+                    ("contract_test.kafka", "test", "contract brokers java", "contract_test", ""),
+                    ("a_person_is_followed", "test", "system system", "programs turtle", ""),
+                    ("loop_test", "test", "system system serverless", "loop_test", ""),
+                    ("a_robot_stops", "test", "server drivers ros", "", ""),
+                    ("chaos", "test", "long chaos", "chaos", ""))
+
+    def listed(self, *rows):
+        lines = []
+        for *words, sources in rows:
+            lines.append("\t".join([*words, " ".join(str(self.build / source) for source in sources.split())]) + "\n")
+        (self.build / "test_list.tsv").write_text("".join(lines))
+
+    def chosen(self, *words):
+        return choose.choose(self.build, words)
+
+    def test_a_name_in_a_source_chooses_its_program_and_a_unit_test_needs_nothing_else(self):
+        self.assertEqual(self.chosen("-L", "^brokers$", "-R", "Outbox.Keeps"), (["brokers_test"], []))
+        self.assertEqual(self.chosen("-L", "^brokers$", "-R", "Ring"), (["brokers_test"], []))
+        self.assertEqual(self.chosen("-L", "^brokers$", "-R", "Ring", "-E", "IsFull"), ([], []))
+
+    def test_needs_are_those_of_the_chosen_tests_labels(self):
+        self.assertEqual(self.chosen("-L", "^brokers$", "-R", "contract"), (["contract_test"], ["java", "servers"]))
+        self.assertEqual(self.chosen("-R", "followed", "-E", "Keeps"), (["programs", "registry_test", "turtle"],
+                                                                        ["servers", "tools"]))
+        self.assertEqual(self.chosen("-L", "system", "-R", "loop"), (["loop_test"], ["tools"]))
+        self.assertEqual(self.chosen("-L", "^drivers$"), ([], ["ros", "servers"]))
+
+    def test_labels_leave_out_and_all_must_fit(self):
+        self.assertEqual(self.chosen("-L", "^unit$", "-LE", "^long$"), (["brokers_test"], []))
+        self.assertEqual(self.chosen("-L", "brokers", "-L", "asan"), (["brokers_test"], []))
+        self.assertEqual(self.chosen("-L", "^long$"), (["chaos"], ["servers", "tools"]))
+
+    def test_the_names_of_a_parameterized_test_are_known_once_it_was_built(self):
+        choice = ("-L", "discovery", "-R", "zookeeper")
+        self.assertEqual(self.chosen(*choice)[0], ["registry_test"], "it may have such a test")
+        found = self.build / "registry_test[1]_tests.cmake"
+        found.write_text('add_test([=[All/Registry.KeepsWatches/embedded]=]  /x/registry_test [==[--gtest_filter=a]==])\n')
+        self.assertEqual(self.chosen(*choice)[0], [])
+        found.write_text('add_test([=[All/Registry.KeepsWatches/zookeeper]=]  /x/registry_test [==[--gtest_filter=a]==])\n')
+        self.assertEqual(self.chosen(*choice)[0], ["registry_test"])
+
+    def test_options_with_values_do_not_pass_for_choices(self):
+        self.assertEqual(self.chosen("-j", "4", "--repeat", "until-fail:3", "--tests-regex=Outbox", "-L", "unit")[0],
+                         ["brokers_test"])
+
+
+if __name__ == "__main__":
+    unittest.main()
