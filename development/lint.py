@@ -33,13 +33,17 @@ def git_files(*words):
     return [file for file in said.split("\0") if file]
 
 
+def changed_files(since):
+    """All files that differ from a commit, also those that are gone and those that git does not know."""
+    return {*git_files("diff", "-z", "--name-only", "--no-renames", since),
+            *git_files("ls-files", "-z", "--others", "--exclude-standard")}
+
+
 def chosen(since):
     """The files to look at: all sources, or the sources and headers that changed since a commit."""
-    untracked = ["ls-files", "-z", "--others", "--exclude-standard", "--"]
-    if since is None:
-        return sorted({*git_files("ls-files", "-z", "--cached", "--", "*.cc"), *git_files(*untracked, "*.cc")})
-    changed = git_files("diff", "-z", "--name-only", "--no-renames", "--diff-filter=d", since, "--", "*.cc", "*.h")
-    return sorted({*changed, *git_files(*untracked, "*.cc", "*.h")})
+    if since is not None:
+        return sorted(file for file in changed_files(since) if file.endswith((".cc", ".h")))
+    return sorted(git_files("ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", "*.cc"))
 
 
 def look_at(build, file, remembered):
