@@ -9,7 +9,7 @@ usage: restarts_test.py BUILD_DIR
 import re
 import shutil
 import sys
-import time
+import urllib.request
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -18,9 +18,10 @@ sys.path.insert(0, str(HERE.parent / "servers"))
 from private_cluster import PrivateCluster, echo_topology, free_port, result_of, wait_for  # noqa: E402
 
 COUNT, RATE = 2500, 100
+SESSION_S = 4
 REGISTRY = """
 zk.root: /farm/sensors
-registry.session_timeout: 4s
+registry.session_timeout: {session}s
 registry.user: farm
 registry.password_file: "{password}"
 """
@@ -32,7 +33,8 @@ class Farm(PrivateCluster):
         self.rabbitmq, self.zookeeper = self.server("rabbitmq"), self.server("zookeeper")
         password = self.out / "registry.password"
         password.write_text("a secret\n")
-        self.registry = REGISTRY.replace("{password}", str(password))
+        self.registry = REGISTRY.replace("{password}", str(password)).replace("{session}", str(SESSION_S))
+        self.page = f"127.0.0.1:{free_port()}"
         self.api_port = free_port()
         self.thrift = {name: free_port() for name in ("master", "gateway-1", "gateway-2")}
 
@@ -78,6 +80,12 @@ brokers:
     def states(self, command, key):
         return [entry[key] for entry in self.json(command)]
 
+    def read(self):
+        """How many messages the worker has read."""
+        with urllib.request.urlopen(f"http://{self.page}/metrics", timeout=10) as answer:
+            lines = answer.read().decode().splitlines()
+        return sum(float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith("iotcloud_spout_received_total{"))
+
     def ready(self, count):
         wait_for(f"{count} gateways are ready", lambda: self.states("gateways", "state").count("ready") == count)
 
@@ -92,7 +100,8 @@ def main():
     shutil.rmtree(work, ignore_errors=True)
     with Farm(work, build / "bin", build / "plugins") as farm:
         farm.begin()
-        farm.topology("worker", farm.registry + echo_topology())  # nothing exists yet, not even the tree
+        page = f'metrics: {{address: "{farm.page}"}}'
+        farm.topology("worker", farm.registry + echo_topology(more=page))  # nothing exists yet, not even the tree
         farm.master()
         wait_for("the topology is known", lambda: farm.states("topologies", "topology") == ["echo"])
         farm.gateway("gateway-1")
@@ -106,11 +115,13 @@ def main():
         farm.kill("gateway-1")  # its driver host goes on, and is adopted
         farm.gateway("gateway-1")
         farm.kill("master")
-        time.sleep(1)
+        wait_for("the host is adopted without a master", lambda: "adopted the driver host" in
+                 farm.log("gateway-1").read_text())
         farm.master()
         farm.ready(2)
         farm.order("zookeeper", "kill", "KILLED")
-        time.sleep(6)  # longer than a session lives; the channels are still read
+        enough = min(farm.read() + 2 * RATE * 1.5 * SESSION_S, 2 * COUNT)  # what both drivers send while a session ends
+        wait_for("the worker reads without ZooKeeper for longer than a session lives", lambda: farm.read() >= enough)
         farm.order("zookeeper", "start", "READY")
         wait_for("both drivers have everything back", lambda: all(map(result_of, reports)), 120)
         farm.require_alive()
