@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""A room uses only the rooms that it may use: checks every include below a source tree, and what the targets of its
-CMakeLists.txt name, against the table here.
+"""A room uses only the rooms that it may use, and few sources read heavy libraries: checks every include below a source
+tree, and what the targets of its CMakeLists.txt name, against the tables here.
 
 usage: check_includes.py ROOT     (exit status 1 and a line for each violation)
 """
@@ -43,6 +43,24 @@ NO_IMPLEMENTATIONS = ("brokers/client", "brokers/spool", "discovery/client", "di
 # Who may also name the servers that run in this process.
 STARTERS = {"brokers/embedded": "topology/local/", "discovery/embedded": "topology/local/"}
 THRIFT_OF_GATEWAY = re.compile(r"gateway/(\w+_types|T\w+Service)\.h$")
+# A heavy library (what each costs a unit is in CONTRIBUTING.md): the sources that may include it. `None`: all. No header
+# may,
+HEAVY = {
+    "CLI/": re.compile(r"_main\.cc$|^master/cli/|^config/daemon/daemon\.cc$|^tests/master/cli/cli_test\.cc$"),
+    "boost/asio": None,
+    "boost/beast": re.compile(r"^rpc/http/http_(client|server)\.cc$"),
+    "nlohmann/json.hpp": None,
+    "spdlog/": re.compile(r"^config/log\.cc$"),
+    "thrift/": None,
+}
+# but for these, of which every source that includes them needs the library itself.
+HEAVY_HEADERS = {
+    "boost/asio": ("drivers/turtle/robot/agent.h", "drivers/turtle/robot/session.h",
+                   "drivers/turtle/standalone/device_host.h"),
+    "nlohmann/json.hpp": ("discovery/description/json.h", "master/cli/topology/topology_pages.h",
+                          "tests/master/cli/cli_fixture.h"),
+    "thrift/": ("tests/fuzz/thrift_frames.h", "tests/rpc/service.h"),
+}
 INCLUDE = re.compile(r'^\s*#\s*include\s*([<"])([^>"]+)[>"]')
 TARGET = re.compile(r"^[ \t]*iotcloud_(room|program|plugin|thrift)\(([^()]*)\)", re.MULTILINE)
 
@@ -96,6 +114,19 @@ def include_violation(file, included):
     return None
 
 
+def heavy_violation(file, included):
+    """Why `file` may not include this file of a heavy library; None when it may, or when it is of none."""
+    for library, sources in HEAVY.items():
+        if not included.startswith(library):
+            continue
+        if file.endswith(".h"):
+            if file not in HEAVY_HEADERS.get(library, ()):
+                return f"{library} is heavy: for sources only (forward declare, as <nlohmann/json_fwd.hpp> does)"
+        elif sources and not sources.search(file):
+            return f"{library} is heavy: a unit that need not read it compiles seconds sooner (HEAVY in {Path(__file__).name})"
+    return None
+
+
 def includes_of(root, file):
     """(line, as it stands, relative to the root) of each include of a file of ours."""
     for number, line in enumerate((root / file).read_text().splitlines(), 1):
@@ -133,7 +164,7 @@ def check_source(root, file):
         # What lies beside the file is held to the same rules, whatever the way it is named.
         if quote == '"' and (root / posixpath.dirname(file) / included).exists() and ".." not in included:
             included = posixpath.join("iotcloud", posixpath.dirname(file), included)
-        reason = include_violation(file, included)
+        reason = include_violation(file, included) or heavy_violation(file, included)
         if reason:
             yield f"{file}:{number}: {include.group(2)}: {reason}"
 

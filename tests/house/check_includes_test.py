@@ -104,6 +104,21 @@ class CheckIncludes(unittest.TestCase):
                 (Path(root) / room / "CMakeLists.txt").write_text(recipe)
             return check_includes.check(Path(root))
 
+    def test_heavy_libraries_are_for_few_sources_and_for_no_header(self):
+        self.assertFalse(self.problems("config/log.cc", "#include <spdlog/spdlog.h>"))
+        self.assertTrue(self.problems("config/error.cc", "#include <spdlog/spdlog.h>"))
+        self.assertFalse(self.problems("gateway/host/host_main.cc", "#include <CLI/CLI.hpp>"))
+        self.assertFalse(self.problems("master/cli/verb.cc", "#include <CLI/CLI.hpp>"))
+        self.assertTrue(self.problems("master/cli/verb.h", "#include <CLI/CLI.hpp>"))
+        self.assertTrue(self.problems("gateway/gateway.cc", "#include <CLI/CLI.hpp>"))
+        self.assertTrue(self.problems("rpc/http/page_guard.cc", "#include <boost/beast/http.hpp>"))
+        self.assertFalse(self.problems("topology/a.cc", "#include <nlohmann/json.hpp>"))
+        self.assertFalse(self.problems("topology/a.h", "#include <nlohmann/json_fwd.hpp>"))
+        self.assertFalse(self.problems("discovery/description/json.h", "#include <nlohmann/json.hpp>"))
+        problems = self.problems("topology/a.h", "#include <nlohmann/json.hpp>")
+        self.assertEqual(len(problems), 1, problems)
+        self.assertTrue(problems[0].startswith("topology/a.h:2: nlohmann/json.hpp: nlohmann/json.hpp is heavy"), problems)
+
     def test_relative_includes_and_missing_guards_are_refused(self):
         self.assertTrue(self.problems("config/a.cc", '#include "../brokers/broker.h"'))
         with tempfile.TemporaryDirectory() as root:
