@@ -221,7 +221,7 @@ std::unique_ptr<Broker> BrokerContract::broker(std::map<std::string, std::string
   BrokerOptions options;
   options.properties = std::move(properties);
   options.urls = {server().url()};
-  options.heartbeat = std::chrono::seconds(2);
+  options.heartbeat = contract_heartbeat;
   return make_broker(options);
 }
 
