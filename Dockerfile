@@ -56,7 +56,6 @@ RUN groupadd --gid ${UID} iotcloud \
  && install -d -o iotcloud -g iotcloud -m 0750 /var/lib/iotcloud /var/lib/iotcloud-reports
 COPY --from=binaries /out/bin /usr/bin
 COPY --from=binaries /out/lib/iotcloud/plugins /usr/lib/iotcloud/plugins
-COPY deploy/cluster/healthz /usr/bin/iotcloud-healthz
 COPY deploy/cluster/with-registry-tunnel /usr/bin/iotcloud-with-registry-tunnel
 # Checks that every linked library exists.
 RUN ldconfig \

@@ -24,7 +24,7 @@ MASTERS, GATEWAYS = ["master-1", "master-2"], ["gateway-1", "gateway-2"]  # each
 WORKERS = ["topology-1", "topology-2"]  # as these do
 USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never root
 REPORT = "/var/lib/iotcloud-reports/cluster.json"
-EVERYTHING = ["--profile", "whole", "--profile", "bench", "--profile", "tools"]
+EVERYTHING = ["--profile", "whole", "--profile", "metrics", "--profile", "bench", "--profile", "tools"]
 START_LIMIT_S = 300
 
 
@@ -36,20 +36,27 @@ def host_files(name):
     return {"ca.pem": "ca.pem", "revoked.pem": "revoked.pem", "host.pem": f"{name}.pem", "host.key": f"{name}.key"}
 
 
+def own_pages(name):
+    """Whom a daemon's pages take, and the token by which its own health check reads them."""
+    return {"pages.tokens": f"{name}.pages.tokens", "health.token": f"{name}.health.token"}
+
+
 # What each service finds in /run/secrets, and whence: a file of the folder `authority`.
 FILES = {
     "registry-tls": host_files("registry-tls"),
     "rabbitmq": {"users.json": "rabbitmq.users.json"},
     **{name: {**host_files(name), **ORDER_KEYS, "masters.tokens": "masters.tokens", "orders.key": f"{name}.orders.key",
-              "pages.token": f"{name}.pages.token", "registry.users": "registry.users",
+              "pages.token": f"{name}.pages.token", **own_pages(name), "registry.users": "registry.users",
               "registry.password": f"{name}.registry.password",
               **{f"{gateway}.token": f"{name}-{gateway}.token" for gateway in GATEWAYS}} for name in MASTERS},
-    **{name: {**host_files(name), **ORDER_KEYS, "tokens": f"{name}.tokens", "registry.users": "registry.users",
+    **{name: {**host_files(name), **ORDER_KEYS, **own_pages(name), "tokens": f"{name}.tokens", "registry.users": "registry.users",
               "registry.password": f"{name}.registry.password", "rabbitmq.password": f"{name}.rabbitmq.password"}
        for name in GATEWAYS},
-    **{name: {**host_files(name), **ORDER_KEYS, "pages.tokens": "pages.tokens", "pages.token": f"{name}.pages.token",
+    **{name: {**host_files(name), **ORDER_KEYS, "pages.tokens": "pages.tokens", "health.token": f"{name}.pages.token",
               "registry.users": "registry.users", "registry.password": "workers.registry.password",
               "rabbitmq.password": "workers.rabbitmq.password"} for name in WORKERS},
+    "prometheus": {"ca.pem": "ca.pem", "host.pem": "prometheus.pem", "host.key": "prometheus.key",
+                   "prometheus.token": "prometheus.token"},
     "operator": OPERATOR,
     "bench": {**OPERATOR, "rabbitmq.password": "bench.rabbitmq.password"},
 }
@@ -237,7 +244,7 @@ def make_secrets(docker):
             raise Refused(f"iotcloud {' '.join(words)}: {done.stderr.strip()}")
         return done.stdout.strip()
 
-    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, "registry-tls"]))
+    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "prometheus"]))
     write_secret(fresh, "admin.token",  # a person's
                  iotcloud("token", "add", "admin", "--role", "admin", "--file", "/secrets/masters.tokens"))
     for master in MASTERS:
@@ -249,6 +256,16 @@ def make_secrets(docker):
         write_secret(fresh, f"{reader}.pages.token",
                      iotcloud("token", "add", reader, "--role", "viewer", "--certificate", f"/secrets/{reader}.pem",
                               "--file", "/secrets/pages.tokens"))
+    for daemon in MASTERS + GATEWAYS:
+        write_secret(fresh, f"{daemon}.health.token",
+                     iotcloud("token", "add", daemon, "--role", "viewer", "--certificate", f"/secrets/{daemon}.pem",
+                              "--file", f"/secrets/{daemon}.pages.tokens"))
+    write_secret(fresh, "prometheus.token",
+                 iotcloud("token", "add", "prometheus", "--role", "viewer", "--certificate", "/secrets/prometheus.pem",
+                          "--file", "/secrets/prometheus.tokens"))
+    for file in ["pages.tokens", *(f"{daemon}.pages.tokens" for daemon in MASTERS + GATEWAYS)]:
+        with open(fresh / file, "a", encoding="utf-8") as tokens:  # one token, which all daemons know
+            tokens.write((fresh / "prometheus.tokens").read_text(encoding="utf-8"))
     for master in MASTERS:
         iotcloud("keys", "new", f"/secrets/{master}.orders")  # signs its orders
     roles = {**dict.fromkeys(MASTERS, "master"), **dict.fromkeys(GATEWAYS, "gateway"), "workers": "worker"}
@@ -305,6 +322,8 @@ def up(given):
     make_secrets(docker)
     say("starting" + (" without Kafka" if given.small else ""))
     profile = [] if given.small else ["--profile", "whole"]
+    if given.metrics:
+        profile += ["--profile", "metrics"]
     log = OUT / "up.log"
     with open(log, "w", encoding="utf-8") as out:
         process = subprocess.Popen(docker.compose(*profile, "up", "-d", "--no-build"), cwd=ROOT, env=environment(),
@@ -368,7 +387,7 @@ def certs(given):
         raise Refused(f"iotcloud certs {given.verb} failed with status {done.returncode}")
     distribute(SECRETS)
     # Daemons look by themselves within seconds; the tunnels read their files again only when they are told.
-    running = sorted(set(docker.containers()) & {*MASTERS, *GATEWAYS, *WORKERS, "registry-tls"})
+    running = sorted(set(docker.containers()) & {*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "prometheus"})
     if running:
         asked(docker.compose("kill", "-s", "HUP", *running))
     say(f"given to {len(running)} containers, which go on with them")
@@ -399,8 +418,9 @@ def main():
         sub.set_defaults(function=function)
         return sub
 
-    command("up", up, "build the images, make the secrets, start it and wait until all is healthy").add_argument(
-        "--small", action="store_true", help="without Kafka")
+    sub = command("up", up, "build the images, make the secrets, start it and wait until all is healthy")
+    sub.add_argument("--small", action="store_true", help="without Kafka")
+    sub.add_argument("--metrics", action="store_true", help="with a Prometheus that reads all daemons' pages")
     command("status", status, "what runs, and what the masters say")
     command("bench", bench, "measure round trips through it").add_argument(
         "--quick", action="store_true", help="fewer sizes and rounds")

@@ -18,7 +18,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "deploy/cluster"))
 
 import cluster  # noqa: E402  (its folder is known now)
-SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
+SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2",
+            "prometheus"}
 DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
 RUN_ONCE = {"bench", "cli", "secrets"}  # by a person, or by ./dev cluster
 # What gateways may share with others: it is public.
@@ -154,6 +155,7 @@ def check_that_it_finds(file):
         "master-1 is on the networks": lambda services: services["master-1"].update(networks=["default", "registry"]),
         "gateway-1 has no tunnel": lambda services: services["gateway-1"]["command"].pop(0),
         "topology-1 has no certificate": lambda services: services["topology-1"].update(volumes=[]),
+        "prometheus publishes": lambda services: services["prometheus"].update(ports=["${PROMETHEUS_PORT:-9090}:9090"]),
         "bench has secrets that are mounted as files": lambda services: services["bench"].update(secrets=["ca.pem"]),
     }
     for expected, break_it in breaks.items():
