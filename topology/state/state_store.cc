@@ -129,6 +129,10 @@ std::vector<StoredState> rehashed(const StateOwner& owner, const std::vector<Sto
   }
   for (std::size_t task = 0; task < stored.size(); ++task) {
     for (const auto& [key, value] : stored[task].entries) {
+      if (count == 1) {  // every tuple comes to this task, whoever uses the key
+        if (given.front().entries.emplace(key, value).second) continue;
+        throw refusal("more than one task has the key " + quoted(key) + ", each with a value of its own");
+      }
       const auto was = owner.task_of ? owner.task_of(key, stored.size()) : std::nullopt;
       if (!was) {
         throw refusal("nothing says which task uses the key " + quoted(key) +

@@ -35,8 +35,8 @@ class StateClaimed : public StateError {
 };
 
 /// The owner of a state. Without a shared store each key is in the state of one task. Another number of tasks can use
-/// the state only if `task_of` says which of them uses a key: the first of them that loads the state then gives each
-/// key to its task.
+/// the state only if `task_of` says which of them uses a key, or if there is one task now: the first of them that loads
+/// the state then gives each key to its task.
 struct StateOwner {
   /// The place of the task, among `tasks`, that uses a key; nullopt: that is not known.
   using TaskOf = std::function<std::optional<std::size_t>(std::string_view key, std::size_t tasks)>;

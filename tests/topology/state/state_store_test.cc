@@ -167,6 +167,24 @@ TEST_P(Rehashing, AKeyThatWasNotWhereItsTuplesWentIsRefused) {
   EXPECT_EQ(task(0, 2).get_int("total") + task(1, 2).get_int("total"), 14);
 }
 
+TEST_P(Rehashing, OneTaskGetsAllKeysAlsoWhenNothingSaysWhoUsesThem) {
+  count(3);
+  EXPECT_EQ(task(0, 1, {}).size(), keys_.size());
+  EXPECT_EQ(task(0, 1, {}).get_int("driver-1"), 1);
+  EXPECT_THAT(problem_of([&] { task(0, 3, {}); }), HasSubstr("written by 1 tasks, and now there are 3"));
+}
+
+TEST_P(Rehashing, OneTaskIsNotGivenOneOfTwoValuesOfAKey) {
+  for (int i = 0; i < 2; ++i) {
+    KeyValueState state = task(i, 2, {});
+    state.put_int("total", 7);
+    state.checkpoint();
+  }
+  EXPECT_THAT(problem_of([&] { task(0, 1, {}); }), AllOf(HasSubstr("more than one task has the key \"total\""),
+                                                         HasSubstr("Set the old number of tasks again")));
+  EXPECT_EQ(task(0, 2, {}).get_int("total") + task(1, 2, {}).get_int("total"), 14);
+}
+
 TEST_P(Rehashing, ATaskOfTheOldNumberWritesNothingAnyMore) {
   count(2);
   KeyValueState old = task(0, 2);
