@@ -4,6 +4,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/exposure.h>
+#include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/api/worker_pages.h>
 #include <iotcloud/master/gateways/site_client.h>
 #include <iotcloud/master/master.h>
@@ -44,19 +45,46 @@ discovery::WorkerRecord find_worker(const Master& master, const discovery::Topol
   throw config::Error(fmt::format("no topology \"{}\"", topology));
 }
 
-/// \throws config::Error when no other machine reaches the worker's pages.
+/// \throws config::Error when this master cannot reach the worker's pages.
 void check_reachable(const discovery::WorkerRecord& worker) {
   if (worker.http.empty()) {
     throw config::Error(fmt::format("worker {} serves no pages (it runs inside another program)", worker.name));
   }
   // On loopback of another machine's record, something else may answer here.
-  const bool seen_here =
-      worker.host == config::host_name() || !config::is_loopback(rpc::split_address(worker.http).host);
-  if (worker.tls && seen_here) return;
+  const bool is_here = worker.host == config::host_name();
+  const bool on_loopback = config::is_loopback(rpc::split_address(worker.http).host);
+  if (worker.tls ? is_here || !on_loopback : is_here && on_loopback) return;
   throw config::Error(
       fmt::format("worker {} is on {} and shows its pages there only; to be seen from elsewhere its YAML needs "
                   "metrics: {{address, tls, tokens}}",
                   worker.name, worker.host));
+}
+
+/// Whether it is the page /topology of that worker.
+bool is_page_of(const std::string& text, const discovery::WorkerRecord& worker) {
+  try {
+    const auto page = discovery::parse_json(text, "its page", largest_page);
+    return page.is_object() && page.value("worker", "") == worker.name;
+  } catch (const std::exception&) {
+    return false;  // it is no JSON, or of another kind
+  }
+}
+
+/// A page of a worker that shows its pages on this machine only, without TLS. Its record may come from anybody who may
+/// write a worker's, and name any port: no answer but that worker's own is passed on. \throws HttpError
+std::string read_here(const discovery::WorkerRecord& worker, const std::string& target) {
+  const rpc::HttpReader reader{.tls = {}, .token = {}, .largest_page = largest_page};
+  const std::string overview = "/topology";
+  std::string page;
+  try {
+    page = rpc::http_get(worker.http, overview, reader);
+  } catch (const rpc::HttpUnreachable&) {
+    throw;
+  } catch (const rpc::HttpError&) {
+    page.clear();  // what the error says may be another program's
+  }
+  if (!is_page_of(page, worker)) throw rpc::HttpError("another program answers at " + worker.http);
+  return target == overview ? page : rpc::http_get(worker.http, target, reader);
 }
 
 /// How this master reads workers' pages. \throws config::Error when it cannot.
@@ -81,7 +109,7 @@ std::string read_worker_page(const Master& master, const WorkerAccess& access, c
   const auto record = find_worker(master, topology, worker);
   check_reachable(record);
   try {
-    return rpc::http_get(record.http, target, reader_with(access));
+    return record.tls ? rpc::http_get(record.http, target, reader_with(access)) : read_here(record, target);
   } catch (const rpc::HttpError& error) {
     throw config::Error(fmt::format("worker {}: {}", worker, error.what()));
   }

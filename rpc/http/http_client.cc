@@ -98,7 +98,7 @@ std::string http_get(const std::string& address, const std::string& target, cons
   } catch (const HttpError&) {
     throw;
   } catch (const std::exception& e) {
-    throw HttpError(fmt::format("{} does not answer: {}", address, e.what()));
+    throw HttpUnreachable(fmt::format("{} does not answer: {}", address, e.what()));
   }
 }
 

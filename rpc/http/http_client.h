@@ -13,6 +13,11 @@ struct HttpError : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// Nobody answers there: the connection was refused, broke or took too long, or its certificate is not the right one.
+struct HttpUnreachable : HttpError {
+  using HttpError::HttpError;
+};
+
 /// The credentials with which a client reads pages.
 struct HttpReader {
   security::TlsFiles tls;                 ///< empty: no TLS, and only pages of this machine are read
@@ -22,7 +27,7 @@ struct HttpReader {
 
 /// GETs a page of a daemon, in at most 5 s for each step. Blocks. Thread safe.
 /// \param address "127.0.0.1:9100"; without TLS a number of loopback, with TLS also a name, which the server's
-/// certificate must have. \param target path and query. \return the body. \throws HttpError
+/// certificate must have. \param target path and query. \return the body. \throws HttpError, HttpUnreachable
 std::string http_get(const std::string& address, const std::string& target, const HttpReader& reader = {});
 
 /// Percent-encodes every character that RFC 3986 does not call unreserved, for a value of a query.

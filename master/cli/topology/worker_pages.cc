@@ -12,9 +12,20 @@ std::string WorkerPages::get(const discovery::WorkerRecord& worker, const std::s
   }
   if (worker.tls || worker.host != config::host_name()) return master_.worker_page(topology_, worker.name, target);
   try {
-    return rpc::http_get(worker.http, target);
+    return rpc::http_get(worker.http, target);  // without a token, which is not for whoever is in the registry
+  } catch (const rpc::HttpUnreachable& error) {
+    return by_the_master(worker, target, error.what());
   } catch (const rpc::HttpError& error) {
     throw Failed(fmt::format("worker {}: {}", worker.name, error.what()));
+  }
+}
+
+std::string WorkerPages::by_the_master(const discovery::WorkerRecord& worker, const std::string& target,
+                                       const std::string& why) {
+  try {
+    return master_.worker_page(topology_, worker.name, target);
+  } catch (const Failed& error) {
+    throw Failed(fmt::format("worker {}: {}; a master does not reach it either: {}", worker.name, why, error.what()));
   }
 }
 

@@ -7,8 +7,8 @@
 
 namespace iotcloud::master::cli {
 
-/// Reads the pages of a topology's workers: of those on this machine itself, of others by way of a master. Used by one
-/// thread.
+/// Reads the pages of a topology's workers: of those on this machine itself; of others, and of those that do not answer
+/// here, by way of a master. Used by one thread.
 class WorkerPages {
  public:
   /// \param master outlives this object.
@@ -19,6 +19,8 @@ class WorkerPages {
   std::string get(const discovery::WorkerRecord& worker, const std::string& target);
 
  private:
+  /// \param why the caller does not reach the worker itself
+  std::string by_the_master(const discovery::WorkerRecord& worker, const std::string& target, const std::string& why);
   MasterClient& master_;
   const discovery::TopologyName topology_;
 };

@@ -2,8 +2,11 @@
 #include <atomic>
 #include <fstream>
 #include <optional>
+#include <thread>
 
 #include <gmock/gmock.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/discovery/records.h>
@@ -11,6 +14,7 @@
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/security/tokens.h>
 #include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/loopback_listener.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 #include <iotcloud/tests/security/certificates.h>
 
@@ -193,6 +197,80 @@ TEST_F(CliOfAFarWorker, ReadsNoOtherPageOfIt) {
               testing::ThrowsMessage<cli::Failed>(HasSubstr("has no worker w2")));
   EXPECT_THAT([&] { client.worker_page("ehco"_topology, "w1", "/topology"); },
               testing::ThrowsMessage<cli::Failed>(HasSubstr("no topology \"ehco\"")));
+}
+
+/// A worker that shows its pages on this machine only, without TLS.
+class CliOfAWorkerHere : public CliOfAFarWorker {
+ protected:
+  void show_worker_at(const std::string& address) {
+    worker_.http = address;
+    worker_.tls = false;
+    show_worker();
+  }
+};
+
+/// A page that breaks its first connection, as one that not everybody on this machine reaches (from another network
+/// namespace, say), and answers all later ones.
+class PageAtTheSecondTry {
+ public:
+  explicit PageAtTheSecondTry(std::string text)
+      : answer_("HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Length: " + std::to_string(text.size()) + "\r\n\r\n" +
+                text),
+        thread_([this] { serve(); }) {}
+  ~PageAtTheSecondTry() {
+    shutdown(listener_.socket(), SHUT_RDWR);
+    thread_.join();
+  }
+  std::string address() const { return "127.0.0.1:" + std::to_string(listener_.port()); }
+
+ private:
+  void serve() {
+    for (bool first = true;; first = false) {
+      const int client = listener_.accept();
+      if (client < 0) return;
+      std::string request(4096, '\0');
+      if (!first && recv(client, request.data(), request.size(), 0) > 0)
+        send(client, answer_.data(), answer_.size(), MSG_NOSIGNAL);
+      close(client);
+    }
+  }
+  const std::string answer_;
+  const iotcloud::tests::LoopbackListener listener_;
+  std::thread thread_;
+};
+
+TEST_F(CliOfAWorkerHere, AsksTheMasterForWhatItDoesNotReachItself) {
+  const PageAtTheSecondTry pages(page);
+  show_worker_at(pages.address());
+  EXPECT_EQ(run_json({"topology", "show", "echo"})["components"][0]["parallelism"], 3);
+}
+
+TEST_F(CliOfAWorkerHere, SaysWhyNeitherItNorTheMasterReachesIt) {
+  show_worker_at("127.0.0.1:" + std::to_string(iotcloud::tests::free_port()));
+  EXPECT_THAT(complaint(), AllOf(HasSubstr("does not answer"), HasSubstr("a master does not reach it either")));
+}
+
+TEST_F(CliOfAWorkerHere, GetsNoAnswerOfAnotherProgramAtTheMaster) {
+  const rpc::HttpServer other(rpc::PageSettings{"127.0.0.1:0", {}, ""},
+                              std::map<std::string, rpc::HttpHandler>{
+                                  {"/topology",
+                                   [](const auto&) {
+                                     return rpc::HttpAnswer{403, "text/plain", R"({"worker": "w1", "its": "own"})"};
+                                   }},
+                                  {"/tap", answers("its own")}});
+  const rpc::HttpServer another_worker(
+      rpc::PageSettings{"127.0.0.1:0", {}, ""},
+      std::map<std::string, rpc::HttpHandler>{{"/topology", answers(R"({"worker": "w2", "its": "own"})")}});
+  cli::MasterClient client({address()}, {}, std::chrono::milliseconds(1000));
+  for (const auto* pages : {&other, &another_worker}) {
+    show_worker_at(pages->address());
+    for (const char* target : {"/topology", "/tap?id=a"}) {
+      EXPECT_THAT(
+          [&] { client.worker_page("echo"_topology, "w1", target); },
+          testing::ThrowsMessage<cli::Failed>(AllOf(HasSubstr("another program answers at"), Not(HasSubstr("own")))));
+    }
+    node_.reset();
+  }
 }
 
 TEST_F(CliOfAFarWorker, TellsWhetherADaemonIsWell) {
