@@ -112,6 +112,7 @@ class MasterService final : public config::Service {
     access.tokens = tokens_;
     access.users = config_.api.users;
     access.open = config_.api.open;
+    access.calls = config_.api.calls;
     access.audit = audit_;
     access.gateways = {config_.api.tls, config_.gateway_token_file};
     access.workers = {config_.api.tls, config_.worker_token_file};

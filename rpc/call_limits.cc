@@ -42,4 +42,22 @@ std::shared_ptr<void> CallLimits::enter(const std::string& identity) {
           }};
 }
 
+CallsByRole usual_calls() {
+  using security::Role;
+  // Orders wait for their outcome, each on a connection of its own: a server's limit of connections is theirs, too.
+  const CallLimits::Options acting{.at_once = 1'000, .per_second = 1'000, .burst = 2'000};
+  return {{Role::viewer, {}}, {Role::master, acting}, {Role::operating, acting}, {Role::admin, acting}};
+}
+
+RoleLimits::RoleLimits(const CallsByRole& calls) {
+  for (const auto& [role, options] : calls) limits_.try_emplace(role, options);
+}
+
+std::optional<std::shared_ptr<void>> RoleLimits::enter(security::Role role, const std::string& identity) {
+  const auto limits = limits_.find(role);
+  if (limits == limits_.end()) return std::shared_ptr<void>();
+  if (auto turn = limits->second.enter(identity)) return turn;
+  return std::nullopt;
+}
+
 }  // namespace iotcloud::rpc

@@ -3,10 +3,12 @@
 #include <chrono>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/security/tokens.h>
 
 namespace iotcloud::rpc {
 
@@ -45,6 +47,25 @@ class CallLimits {
   const config::Clock& clock_;
   config::Mutex mutex_;
   std::map<std::string, std::shared_ptr<Account>> accounts_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
+/// The limits of each identity's calls, by its role.
+using CallsByRole = std::map<security::Role, CallLimits::Options>;
+
+/// What holds unless a configuration says otherwise. Those who may act have ten times the calls of a viewer, which is
+/// more than the command line makes with a manifest of thousands, a plugin's pieces, or a master for all its viewers.
+CallsByRole usual_calls();
+
+/// CallLimits for the identities of each role. Thread safe.
+class RoleLimits {
+ public:
+  explicit RoleLimits(const CallsByRole& calls = usual_calls());
+  /// As CallLimits::enter(); a role that is not in the list is not limited. \return the object to hold; nullopt: its
+  /// turn would come too late
+  std::optional<std::shared_ptr<void>> enter(security::Role role, const std::string& identity);
+
+ private:
+  std::map<security::Role, CallLimits> limits_;
 };
 
 }  // namespace iotcloud::rpc

@@ -61,7 +61,9 @@ class GuardedProcessor final : public TProcessor {
     std::int32_t number = 0;
     in->readMessageBegin(method, type, number);
     if (type != TMessageType::T_CALL) return false;
-    if (const auto refusal = session_->refuse(method)) {
+    auto refusal = session_->refuse(method);
+    if (!refusal) refusal = session_->refuse_too_many(method);
+    if (refusal) {
       in->skip(TType::T_STRUCT);
       in->readMessageEnd();
       write(*out, method, number, *refusal);

@@ -26,6 +26,22 @@ HostAndPort split_address(const std::string& address) {
   throw config::Error(fmt::format("\"{}\" is no address: give HOST:PORT, for example 127.0.0.1:12904", address));
 }
 
+namespace {
+
+/// Reads how many calls a second each identity of a role may make; twice as many may come together.
+void read_calls(config::Section& section, CallsByRole& calls) {
+  auto rates = section.optional_section("calls_per_second");
+  if (!rates) return;
+  for (auto& [role, limits] : calls) {
+    limits.per_second =
+        static_cast<double>(rates->int_or(to_string(role), static_cast<std::int64_t>(limits.per_second), 1, 1'000'000));
+    limits.burst = 2 * limits.per_second;
+  }
+  rates->finish();
+}
+
+}  // namespace
+
 void read_listen_settings(config::Section& section, ListenSettings& settings, int least_port) {
   settings.host = section.string_or("host", settings.host);
   settings.port = static_cast<int>(section.int_or("port", settings.port, least_port, 65535));
@@ -44,6 +60,7 @@ void read_listen_settings(config::Section& section, ListenSettings& settings, in
   }
   settings.users = section.strings_or("users", {});
   settings.open = section.bool_or("open", false);
+  read_calls(section, settings.calls);
   if (!settings.tokens.empty() && (settings.open || !settings.users.empty())) {
     section.refuse(settings.open ? "open" : "users", "with tokens it is they that say who may act",
                    "leave out one of the two");

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include <iotcloud/config/yaml.h>
+#include <iotcloud/rpc/call_limits.h>
 #include <iotcloud/security/tls.h>
 
 namespace iotcloud::rpc {
@@ -18,10 +19,12 @@ struct ListenSettings {
   /// Without tokens: accounts of this machine that may act, besides root and the daemon's own; others only read.
   std::vector<std::string> users{};
   bool open = false;  ///< without tokens: everybody on this machine may act
+  CallsByRole calls = usual_calls();
 };
 
-/// Reads `host`, `port`, `tls`, `tokens`, `users`, `open` and `advertise`. Missing keys keep their values; advertise
-/// becomes host:port. \param least_port 0 allows any free port. \throws ConfigError, also if exposure() gives a reason.
+/// Reads `host`, `port`, `tls`, `tokens`, `users`, `open`, `calls_per_second` and `advertise`. Missing keys keep their
+/// values; advertise becomes host:port. \param least_port 0 allows any free port. \throws ConfigError, also if
+/// exposure() gives a reason.
 void read_listen_settings(config::Section& section, ListenSettings& settings, int least_port = 1);
 
 /// Why the service must not listen with these settings; empty if it may. Its clients can run programs, so a port that

@@ -106,7 +106,7 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
   const security::Role wanted = rule->second.role;
   const security::Role has = role();
   if (has == security::Role::master && rule->second.for_master) return std::nullopt;
-  if (has >= wanted) return has == security::Role::viewer ? refuse_too_many(method, rule->second.form) : std::nullopt;
+  if (has >= wanted) return std::nullopt;
   Refusal refusal;
   refusal.form = rule->second.form;
   const bool stranger = has == security::Role::anyone;
@@ -130,16 +130,17 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
   return refusal;
 }
 
-/// Waits for the turn of a viewer's call.
-std::optional<Session::Refusal> Session::refuse_too_many(const std::string& method, RefusalForm form) {
-  auto turn = options_.viewers->enter(caller());
+/// Waits for the turn of a call that the caller may make.
+std::optional<Session::Refusal> Session::refuse_too_many(const std::string& method) {
+  auto turn = options_.limits->enter(role(), caller());
   if (!turn) {
     count_refusal(options_.service, "rate");
     options_.refusals->refused("rate", fmt::format("{}: {} of {} is refused: {} makes too many calls", options_.service,
                                                    method, peer_->address(), caller()));
-    return Refusal{fmt::format("{} makes too many calls; try again later", caller()), options_.not_allowed, form};
+    return Refusal{fmt::format("{} makes too many calls; try again later", caller()), options_.not_allowed,
+                   options_.rules.at(method).form};
   }
-  peer_->hold(std::move(turn));
+  if (*turn) peer_->hold(std::move(*turn));
   return std::nullopt;
 }
 

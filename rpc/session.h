@@ -47,8 +47,8 @@ struct AccessOptions {
   std::shared_ptr<security::AuditLog> audit;  ///< null: orders are in the ordinary log only
   /// The ordinary log of refused calls.
   std::shared_ptr<RefusalLog> refusals = std::make_shared<RefusalLog>(config::Logger{"access"});
-  /// How many calls each viewer may make.
-  std::shared_ptr<CallLimits> viewers = std::make_shared<CallLimits>();
+  /// How many calls each identity may make.
+  std::shared_ptr<RoleLimits> limits = std::make_shared<RoleLimits>();
   /// The largest message of a viewer and an operator, who send no plugins.
   int most_bytes = 1 << 20;
   /// RefusalForm::order: the codes for a client without a token, and for one whose role does not allow the call.
@@ -95,7 +95,7 @@ class Session {
   void end();
   std::string caller() const;
   security::AuditEntry entry(const std::string& method) const;
-  std::optional<Refusal> refuse_too_many(const std::string& method, RefusalForm form);
+  std::optional<Refusal> refuse_too_many(const std::string& method);
   void tell_refusal(const std::string& method, const std::string& kind, const std::string& text);
 
   const AccessOptions& options_;

@@ -337,7 +337,7 @@ rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   shared->access.not_authenticated = wire::TRefusal::NOT_AUTHENTICATED;
   shared->access.not_allowed = wire::TRefusal::NOT_ALLOWED;
   shared->access.wrong_token_pause = access.wrong_token_pause;
-  shared->access.viewers = std::make_shared<rpc::CallLimits>(access.viewers);
+  shared->access.limits = std::make_shared<rpc::RoleLimits>(access.calls);
   // The server's options keep this function, and with it `shared`, for as long as there are connections.
   return [shared](const std::shared_ptr<rpc::ThriftPeer>& peer) {
     auto session = std::make_shared<rpc::Session>(shared->access, peer);

@@ -22,7 +22,7 @@ struct ApiAccess {
   GatewayAccess gateways;
   WorkerAccess workers;
   std::chrono::milliseconds wrong_token_pause{1'000};
-  rpc::CallLimits::Options viewers{};  ///< how many calls each viewer may make
+  rpc::CallsByRole calls = rpc::usual_calls();  ///< how many calls each identity may make
   PluginUploads::Options uploads{};
 };
 

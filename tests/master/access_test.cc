@@ -421,12 +421,12 @@ class LimitedAccess : public Access {
     }
   }
   const std::string other_ = security::add_token(tokens_file_, "vito", Role::viewer);
+  const rpc::CallLimits::Options few_{
+      .at_once = 16, .per_second = 0.001, .burst = 3, .longest_wait = std::chrono::milliseconds{0}};
 };
 
 TEST_F(LimitedAccess, AViewerWhoCallsTooOftenIsRefusedOnAllConnectionsAndOthersAreAnswered) {
-  access_.viewers.burst = 3;
-  access_.viewers.per_second = 0.001;
-  access_.viewers.longest_wait = std::chrono::milliseconds{0};
+  access_.calls[Role::viewer] = few_;
   serve({});
   tokens_->reload();
   auto first = connect(viewer_), other = connect(other_), admin = connect(admin_);
@@ -439,6 +439,37 @@ TEST_F(LimitedAccess, AViewerWhoCallsTooOftenIsRefusedOnAllConnectionsAndOthersA
   EXPECT_THAT(refusal(second), HasSubstr("vera makes too many calls"));
   EXPECT_EQ(refusal(other), "");
   for (int i = 0; i < 20; ++i) EXPECT_EQ(refusal(admin), "");
+}
+
+TEST_F(LimitedAccess, EachIdentityOfEveryRoleHasALimitOfItsOwn) {
+  const auto second_admin = security::add_token(tokens_file_, "anton", Role::admin);
+  access_.calls[Role::operating] = access_.calls[Role::admin] = few_;
+  serve({});
+  tokens_->reload();
+  for (const auto& [token, name] : {std::pair(operating_, "otto"), std::pair(admin_, "anna")}) {
+    auto client = connect(token);
+    int answered = 0;
+    while (answered < 100 && refusal(client).empty()) ++answered;
+    EXPECT_THAT(answered, AllOf(testing::Ge(1), testing::Le(4))) << name;
+    auto again = connect(token);
+    EXPECT_THAT(refusal(again), HasSubstr(std::string(name) + " makes too many calls"));
+  }
+  auto viewer = connect(viewer_), anton = connect(second_admin);
+  EXPECT_EQ(refusal(viewer), "");
+  EXPECT_EQ(refusal(anton), "");
+}
+
+TEST_F(LimitedAccess, AnOrderThatIsGivenByNameCountsOnce) {
+  access_.calls[Role::admin] = few_;
+  serve({});
+  auto admin = connect(admin_);
+  wire::TOrderResponse answer;
+  int given = 0;
+  for (; given < 100; ++given) {
+    admin.giveOrder(answer, "undeploy", R"({"instances": ["nobody"]})");
+    if (answer.response.statusMessage.find("too many calls") != std::string::npos) break;
+  }
+  EXPECT_THAT(given, AllOf(testing::Ge(2), testing::Le(4)));
 }
 
 TEST_F(LimitedAccess, OneTokenHasSoManyConnectionsAndTakesNobodysPlace) {
