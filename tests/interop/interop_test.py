@@ -30,16 +30,25 @@ SKIPPED = 77
 RABBITMQ, KAFKA = "RabbitMQ", "Kafka"
 
 # Our drivers, which a Java topology reads and answers: name, broker, how the channels are, instances, properties. Java writers
-# declare the queue that they send to, so a RabbitMQ driver's incoming channel has it as they declare it.
+# declare the queue that they send to, so a RabbitMQ driver's incoming channel has it as they declare it. With a single queue the
+# outgoing channel has the original's queue, too. Kafka has no queues: there the option changes nothing.
+INTEROP = {"channel.control.interop": "java"}
+SINGLE = {"channel.data.interop": "java", **INTEROP}
+OUT_SHARED, IN_SHARED = {"channel.data.shared": "true"}, {"channel.control.shared": "true"}
+SHARED = {**OUT_SHARED, **IN_SHARED}
+ON_KAFKA = {"channel.data.broker": "kafka", "channel.control.broker": "kafka", **SHARED}
+OWN_NAMES = {"own_names": "true"}
 DRIVERS = (
-    ("exclusive", RABBITMQ, "exclusive", 1, {"channel.control.interop": "java"}),
-    ("shared", RABBITMQ, "shared", 2, {"channel.control.interop": "java", "channel.data.shared": "true",
-                                       "channel.control.shared": "true"}),
-    ("single", RABBITMQ, "single queue, own names", 1, {"own_names": "true", "channel.data.interop": "java",
-                                                        "channel.control.interop": "java"}),
-    ("over_kafka", KAFKA, "shared", 2, {"channel.data.broker": "kafka", "channel.control.broker": "kafka",
-                                        "channel.data.shared": "true", "channel.control.shared": "true",
-                                        "own_names": "true"}),
+    ("exclusive", RABBITMQ, "exclusive", 1, INTEROP),
+    ("shared", RABBITMQ, "shared", 2, {**INTEROP, **SHARED}),
+    ("single", RABBITMQ, "single queue, own names", 1, {**SINGLE, **OWN_NAMES}),
+    ("single_two", RABBITMQ, "single queue, exclusive", 2, SINGLE),
+    ("single_shared", RABBITMQ, "single queue, shared", 2, {**SINGLE, **SHARED}),
+    ("single_shared_names", RABBITMQ, "single queue, shared, own names", 2, {**SINGLE, **SHARED, **OWN_NAMES}),
+    ("single_shared_out", RABBITMQ, "single queue, only out shared", 2, {**SINGLE, **OUT_SHARED}),
+    ("single_shared_in", RABBITMQ, "single queue, only in shared", 2, {**SINGLE, **IN_SHARED}),
+    ("over_kafka", KAFKA, "shared", 2, {**ON_KAFKA, **OWN_NAMES}),
+    ("single_kafka", KAFKA, "shared, with the option", 2, {**ON_KAFKA, **SINGLE}),
 )
 # Drivers of a Java gateway, which our topology reads and answers: name, broker, how the channels are, instances.
 JAVA_DRIVERS = (("java_exclusive", RABBITMQ, "exclusive", 2), ("java_shared", RABBITMQ, "shared", 2),
@@ -151,10 +160,10 @@ def main():
     except (Unavailable, private_server.Unavailable) as error:
         print(f"skipped: {error}")
         return SKIPPED
-    print(f"{'messages':<46} {'broker':<9} {'channels':<36} {'sent':>5} {'received':>9} {'lost':>5} {'twice':>6} "
+    print(f"{'messages':<46} {'broker':<9} {'channels':<46} {'sent':>5} {'received':>9} {'lost':>5} {'twice':>6} "
           f"{'wrong headers':>14}  others")
     for way, broker, kind, sent, got in rows:
-        print(f"{way:<46} {broker:<9} {kind:<36} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
+        print(f"{way:<46} {broker:<9} {kind:<46} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
               f"{got['twice']:>6} {got['wrong']:>14}  {got['others']}")
     figures.write(ROOT / "build/bench/interop.json", "./dev bench interop", begun,
                   {"versions": versions.asked(build_dir, "rabbitmq", "kafka")}, list(figures_of(rows)))
