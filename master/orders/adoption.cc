@@ -77,6 +77,7 @@ OrderResult Adoptions::adopt_all(const GatewaySelection& selection) {
       const discovery::Adoption adoption{discovery::decode_freeze(node->data, mark).token, lead.epoch};
       const auto orders = desk_.options.paths.orders(id);
       discovery::put(desk_.registry, orders, desk_.book.sealed(orders, encode(adoption)), lead.fence);
+      desk_.book.forget_given(id);
       if (!find(known, id)->alive) return Verdict{OrderOutcome::pending, lost_text};
       watch.expect(id, mark);
       return std::nullopt;

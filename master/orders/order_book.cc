@@ -22,6 +22,19 @@ Verdict of_later_master() {
   return {OrderOutcome::failed, "a later master has given orders for it; this one's lead is over"};
 }
 
+/// Somebody put it there once more, and would have this master sign it.
+Verdict of_earlier_time() {
+  return {
+      OrderOutcome::failed,
+      "a master has signed the order that stands there, but it is out of date: somebody wrote an old one once more, "
+      "or copied the registry (or its clock is minutes ahead), so it is not changed: undeploy the instance and deploy "
+      "it again, or `iotcloud registry "
+      "import --replace` a backup"};
+}
+
+/// By so much may the clocks of masters and of the registry differ.
+constexpr std::int64_t clocks_differ_ms = std::chrono::milliseconds(std::chrono::minutes(10)).count();
+
 /// Whoever wrote it would have this master sign it.
 Verdict of_nobody_trusted() {
   return {OrderOutcome::failed,
@@ -30,6 +43,27 @@ Verdict of_nobody_trusted() {
 }
 
 }  // namespace
+
+void LastGiven::note(const std::string& path, std::int64_t given_ms) {
+  const config::MutexLock lock(mutex_);
+  if (newer_.size() >= many) older_ = std::exchange(newer_, {});
+  auto& time = newer_[path];
+  time = std::max(time, given_ms);
+}
+
+std::int64_t LastGiven::at(const std::string& path) const {
+  const config::MutexLock lock(mutex_);
+  for (const Times* times : {&newer_, &older_}) {
+    if (const auto found = times->find(path); found != times->end()) return found->second;
+  }
+  return 0;
+}
+
+void LastGiven::forget(const std::string& above) {
+  const config::MutexLock lock(mutex_);
+  for (Times* times : {&newer_, &older_})
+    std::erase_if(*times, [&](const auto& each) { return each.first.starts_with(above + "/"); });
+}
 
 const GatewayStatus* find(const std::vector<GatewayStatus>& gateways, const GatewayId& id) {
   const auto at = std::find_if(gateways.begin(), gateways.end(), [&](const auto& g) { return g.record.id == id; });
@@ -116,10 +150,16 @@ std::optional<OrderRecord> OrderBook::get(const GatewayId& gateway, const Instan
   return discovery::decode_order(node->data, path);
 }
 
+bool OrderBook::is_old(const discovery::Node& node, std::int64_t given_ms, std::int64_t known) const {
+  if (!seal_ || !is_sealed_ || given_ms == known) return false;
+  return given_ms < known || node.modified_ms - given_ms > clocks_differ_ms;
+}
+
 void OrderBook::create(const GatewayId& gateway, OrderRecord order, const Lead& lead) {
   const auto path = paths_.order(gateway, order.instance);
-  if (seal_) order.given_ms = config::system_clock().wall_ms();
+  if (seal_) order.given_ms = std::max(config::system_clock().wall_ms(), given_.at(path));
   registry_.create(path, sealed(path, encode(order)), true, lead.fence);
+  given_.note(path, order.given_ms);
 }
 
 /// Says with this master's signature that the order is removed, for gateways that follow signed orders only.
@@ -129,6 +169,7 @@ void OrderBook::announce_removal(const Located& where, const OrderRecord* order,
   if (order != nullptr) removal.given_ms = std::max(removal.given_ms, order->given_ms + 1);
   const auto path = paths_.removal(where.gateway, where.instance);
   discovery::put(registry_, path, sealed(path, encode(removal)), lead.fence);
+  given_.note(paths_.order(where.gateway, where.instance), removal.given_ms);
 }
 
 MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
@@ -161,13 +202,15 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead, const st
                                 Standing standing) {
   const auto path = paths_.order(where.gateway, where.instance);
   while (!leadership_.closing().stop_requested()) {
+    const auto known = given_.at(path);  // before the node is read: another order may be given meanwhile
     const auto node = registry_.get(path);
     if (!node) return Verdict{OrderOutcome::failed, "it is being undeployed"};
     const bool ours = is_ours(path, node->data);
     if (!ours && standing == Standing::is_kept) return of_nobody_trusted();
     auto order = discovery::decode_order(node->data, path);
     if (ours && order.epoch > lead.epoch) return of_later_master();
-    const auto given_before = ours ? order.given_ms : 0;
+    if (ours && standing == Standing::is_kept && is_old(*node, order.given_ms, known)) return of_earlier_time();
+    const auto given_before = std::max(ours ? order.given_ms : 0, known);
     alter(order);
     order.epoch = lead.epoch;
     if (seal_) order.given_ms = std::max(config::system_clock().wall_ms(), given_before + 1);
@@ -177,6 +220,7 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead, const st
                      fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
     try {
       registry_.set(path, sealed(path, bytes), node->version, lead.fence);
+      given_.note(path, order.given_ms);
       return std::nullopt;
     } catch (const RegistryError& e) {
       if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again

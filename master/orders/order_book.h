@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/master/orders/leadership.h>
 
@@ -28,6 +29,25 @@ OrderResult refuse_gateway(const discovery::GatewayId& id, const std::vector<dis
 
 /// A worker that says it has followed a later order to its topology is not believed: there must be room for the next.
 inline constexpr std::int64_t most_revision = std::int64_t{1} << 62;
+
+/// What this master knows of when orders were given last, without a memory that survives it. Whoever may write in the
+/// registry can put an order there once more that a master signed long ago: this master must not sign what it makes of
+/// it. Thread safe.
+class LastGiven {
+ public:
+  /// That this master has written an order for the node, or its removal.
+  void note(const std::string& path, std::int64_t given_ms) IOTCLOUD_EXCLUDES(mutex_);
+  /// 0: it has written none for the node, or that was many orders ago.
+  std::int64_t at(const std::string& path) const IOTCLOUD_EXCLUDES(mutex_);
+  /// A person has said that the nodes below this one are meant as they stand.
+  void forget(const std::string& above) IOTCLOUD_EXCLUDES(mutex_);
+
+ private:
+  static constexpr std::size_t many = 100'000;
+  using Times = std::map<std::string, std::int64_t>;
+  mutable config::Mutex mutex_;
+  Times newer_ IOTCLOUD_GUARDED_BY(mutex_), older_ IOTCLOUD_GUARDED_BY(mutex_);
+};
 
 /// The orders of instances as they stand in the registry. Thread safe; \throws discovery::RegistryError.
 class OrderBook {
@@ -70,6 +90,12 @@ class OrderBook {
   bool is_ours(const std::string& path, const std::string& bytes) const {
     return !is_sealed_ || is_sealed_(path, bytes);
   }
+  /// Whether a signed order is not the last that was given for its node: this master has written a later one, or the
+  /// node was written long after a master gave what stands there. \param known last_given() before the node was read
+  bool is_old(const discovery::Node& node, std::int64_t given_ms, std::int64_t known) const;
+  std::int64_t last_given(const std::string& path) const { return given_.at(path); }
+  void note_given(const std::string& path, std::int64_t given_ms) { given_.note(path, given_ms); }
+  void forget_given(const discovery::GatewayId& gateway) { given_.forget(paths_.orders(gateway)); }
 
  private:
   void announce_removal(const Located& where, const discovery::OrderRecord* order, const discovery::Lead& lead);
@@ -78,6 +104,7 @@ class OrderBook {
   const Leadership& leadership_;
   const Seal& seal_;
   const IsSealed& is_sealed_;
+  LastGiven given_;
 };
 
 /// ZooKeeper refuses nodes above 1 MiB; an order near that is a mistake.

@@ -101,20 +101,28 @@ std::optional<TopologyResult> TopologyService::refuse_unknown_topology(const dis
 }
 
 /// \return the order as it is to be from now on. \throws config::Error when it cannot be given.
-TopologyOrder TopologyService::changed_order(const std::optional<Node>& node, const TopologyRequest& request,
-                                             const std::vector<WorkerRecord>& workers, const discovery::Lead& lead,
-                                             milliseconds wait) const {
+TopologyOrder TopologyService::changed_order(const std::optional<Node>& node, std::int64_t known,
+                                             const TopologyRequest& request, const std::vector<WorkerRecord>& workers,
+                                             const discovery::Lead& lead, milliseconds wait) const {
   TopologyOrder order;
   const std::string path = desk_.options.paths.topology_order(request.topology);
   const bool ours = node && desk_.book.is_ours(path, node->data);
   if (ours) order = discovery::decode_topology_order(node->data, path);
-  if (node && !ours && request.change == TopologyChange::rebalance) {
-    throw config::Error("no trusted master has signed the order that stands for topology " + request.topology +
+  const bool old = ours && desk_.book.is_old(*node, order.given_ms, known);
+  if (node && (!ours || old) && request.change == TopologyChange::rebalance) {
+    throw config::Error((old ? "somebody wrote once more an old order that now stands for topology "
+                             : "no trusted master has signed the order that stands for topology ") +
+                        request.topology +
                         ", so it is not changed: activate or deactivate the topology, which takes that order's place");
+  }
+  if (old) {  // nothing of it is left
+    order.active = true;
+    order.parallelism.clear();
+    order.kill.reset();
   }
   if (order.epoch > lead.epoch) throw config::Error("a later master has given orders for it; this one's lead is over");
   std::int64_t last = order.revision;
-  const std::int64_t last_given = order.given_ms;
+  const std::int64_t last_given = std::max(order.given_ms, known);
   for (const WorkerRecord& worker : workers) last = std::max(last, std::min(worker.revision, most_revision));
   if (order.kill && !any_lives(order.kill->workers, workers)) order = TopologyOrder{};  // that run is over
   if (order.kill && request.change != TopologyChange::kill)
@@ -146,8 +154,9 @@ TopologyOrder TopologyService::write_order(const TopologyRequest& request, const
                                            const discovery::Lead& lead, milliseconds wait) {
   const std::string path = desk_.options.paths.topology_order(request.topology);
   while (!desk_.leadership.closing().stop_requested()) {
+    const auto known = desk_.book.last_given(path);  // before the node is read
     const auto node = desk_.registry.get(path);
-    const TopologyOrder order = changed_order(node, request, workers, lead, wait);
+    const TopologyOrder order = changed_order(node, known, request, workers, lead, wait);
     try {
       const std::string bytes = desk_.book.sealed(path, discovery::encode(order));
       if (node) {
@@ -155,6 +164,7 @@ TopologyOrder TopologyService::write_order(const TopologyRequest& request, const
       } else {
         desk_.registry.create(path, bytes, true, lead.fence);
       }
+      desk_.book.note_given(path, order.given_ms);
       return order;
     } catch (const RegistryError& e) {
       // The order changed meanwhile: read it again.

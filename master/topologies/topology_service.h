@@ -21,9 +21,10 @@ class TopologyService {
   using Workers = std::vector<discovery::WorkerRecord>;
   TopologyResult follow(const TopologyRequest& request);
   std::optional<TopologyResult> refuse_unknown_topology(const discovery::TopologyName& name);
-  discovery::TopologyOrder changed_order(const std::optional<discovery::Node>& node, const TopologyRequest& request,
-                                         const Workers& workers, const discovery::Lead& lead,
-                                         std::chrono::milliseconds wait) const;
+  /// \param known when this master gave the last order, as it knew before it read the node
+  discovery::TopologyOrder changed_order(const std::optional<discovery::Node>& node, std::int64_t known,
+                                         const TopologyRequest& request, const Workers& workers,
+                                         const discovery::Lead& lead, std::chrono::milliseconds wait) const;
   discovery::TopologyOrder write_order(const TopologyRequest& request, const Workers& workers,
                                        const discovery::Lead& lead, std::chrono::milliseconds wait);
   void clear_killed(const discovery::TopologyName& topology, const discovery::Lead& lead, TopologyResult& result);

@@ -6,6 +6,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/description/json.h>
+#include <iotcloud/discovery/freeze.h>
 #include <iotcloud/master/orders/backup_file.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
@@ -388,6 +389,106 @@ TEST_F(ForeignOrders, AreNotSignedBecauseSomebodyChangesThem) {
   const auto removed = paths_.removal("lab1"_gateway, selection.instances.front());
   EXPECT_TRUE(is_sealed(removed));
   EXPECT_LT(discovery::decode_removal(standing(removed), removed).given_ms, forged.given_ms);
+}
+
+TEST_F(ForeignOrders, ThatAMasterSignedLongAgoAreNotSignedAnewBecauseSomebodyChangesThem) {
+  ASSERT_TRUE(master_.leads());
+  DeployRequest request;
+  request.plugin = "turtle.so";
+  request.properties = {{"rate", "1"}};
+  const auto deployed = master_->deploy(request);
+  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
+  InstanceSelection selection;
+  selection.instances = {deployed.outcomes.at(0).instance};
+  const auto path = paths_.order("lab1"_gateway, selection.instances.front());
+  const auto old = standing(path);
+  const auto expect_refused = [&] {
+    for (const auto& result : {master_->stop(selection), master_->start(selection)}) {
+      ASSERT_THAT(result.outcomes, SizeIs(1)) << result.summary();
+      EXPECT_EQ(result.outcomes.front().outcome, OrderOutcome::failed);
+      EXPECT_THAT(result.outcomes.front().reason, testing::HasSubstr("somebody wrote an old one once more"));
+    }
+    EXPECT_EQ(standing(path), old);
+  };
+  DeploymentChange change;
+  change.instances = selection.instances;
+  change.properties = std::map<std::string, std::string>{{"rate", "9"}};
+  ASSERT_TRUE(master_->change_deployment(change).all_done());
+  const auto backup = master_->backup();
+  write(path, old);
+  expect_refused();
+
+  const ImportRequest import{backup, true};
+  EXPECT_TRUE(master_->give("import", discovery::to_json<nlohmann::json>(import).dump()).result.all_done());
+  EXPECT_EQ(discovery::decode_order(standing(path), path).properties.at("rate"), "9");
+  EXPECT_TRUE(master_->stop(selection).all_done()) << "the order that a person put there may be changed";
+
+  ASSERT_TRUE(master_->undeploy(selection).all_done());
+  write(path, old);
+  expect_refused();
+}
+
+TEST_F(ForeignOrders, ThatAPersonAdoptsAsTheyStandAreChangedAgain) {
+  ASSERT_TRUE(master_.leads());
+  DeployRequest request;
+  request.plugin = "turtle.so";
+  const auto deployed = master_->deploy(request);
+  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
+  InstanceSelection selection;
+  selection.instances = {deployed.outcomes.at(0).instance};
+  const auto path = paths_.order("lab1"_gateway, selection.instances.front());
+  const auto old = standing(path);
+  ASSERT_TRUE(master_->stop(selection).all_done());
+  write(path, old);  // the registry was put back to an earlier state, and the gateway is frozen
+  const auto mark = discovery::freeze_path(paths_, "lab1"_gateway);
+  write(mark, encode(discovery::FreezeRecord{"it was put back", 5, "token"}));
+  EXPECT_FALSE(master_->stop(selection).all_done());
+  EXPECT_EQ(standing(path), old);
+  master_->give("adopt", R"({"gateways": ["lab1"], "wait_ms": 1})");
+  ASSERT_TRUE(master_.registry().remove(mark));
+  EXPECT_TRUE(master_->stop(selection).all_done());
+}
+
+TEST_F(ForeignOrders, ThatWereSignedLongBeforeTheyWereWrittenAreNotSignedByAMasterWithoutAMemoryOfThem) {
+  ASSERT_TRUE(master_.leads());
+  DeployRequest request;
+  request.plugin = "turtle.so";
+  const auto deployed = master_->deploy(request);
+  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
+  InstanceSelection selection;
+  selection.instances = {deployed.outcomes.at(0).instance};
+  const auto path = paths_.order("lab1"_gateway, selection.instances.front());
+  auto order = discovery::decode_order(standing(path), path);
+  master_.end();
+  TestMaster next(url_, with_seal());
+  ASSERT_TRUE(next.leads());
+  ASSERT_TRUE(next->stop(selection).all_done()) << "what another master gave a moment ago may be changed";
+
+  TestMaster third(url_, with_seal());
+  next.end();
+  ASSERT_TRUE(third.leads());
+  order.given_ms -= std::chrono::milliseconds(std::chrono::minutes(11)).count();
+  discovery::put(third.registry(), path, seal(path, encode(order)));
+  const auto stopped = third->stop(selection);
+  ASSERT_THAT(stopped.outcomes, SizeIs(1)) << stopped.summary();
+  EXPECT_THAT(stopped.outcomes.front().reason, testing::HasSubstr("somebody wrote an old one once more"));
+}
+
+TEST_F(ForeignOrders, ToTopologiesThatAMasterSignedLongAgoLeaveNothingInTheNextOne) {
+  ASSERT_TRUE(master_.leads());
+  const auto path = paths_.topology_order("t"_topology);
+  write(paths_.topology("t"_topology), encode(discovery::TopologyRecord{"t"_topology, 0, {}, {}}));
+  TopologyRequest request;
+  request.topology = "t"_topology;
+  request.change = TopologyChange::deactivate;
+  ASSERT_TRUE(master_->order(request).all_done());
+  auto old = discovery::decode_topology_order(standing(path), path);
+  --old.given_ms;
+  old.parallelism = {{"work", 1000}};
+  write(path, seal(path, encode(old)));
+  request.change = TopologyChange::activate;
+  ASSERT_TRUE(master_->order(request).all_done());
+  EXPECT_THAT(discovery::decode_topology_order(standing(path), path).parallelism, IsEmpty());
 }
 
 TEST_F(ForeignOrders, ToTopologiesLeaveNothingInTheNextOne) {
