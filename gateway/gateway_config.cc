@@ -206,6 +206,9 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
                              broker_options.tls.certificate_file, broker_options.tls.key_file}) {
       if (!path.empty()) hosts.confinement.files->read.push_back(path);
     }
+    const auto& properties = broker_options.properties;
+    if (const auto file_of_reader = properties.find("reader_password_file"); file_of_reader != properties.end())
+      hosts.confinement.files->read.push_back(file_of_reader->second);
   }
   if (auto log = file.optional_section("host_log")) {
     constexpr int most_kept = 1000;

@@ -12,6 +12,9 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
+/// As whom a connection logs in: as the broker's user, or as its user for reading, if there is one.
+enum class Login { writer, reader };
+
 /// The servers of one broker, how to connect to them, and how their queues are declared. Thread safe: immutable.
 class Cluster {
  public:
@@ -23,7 +26,7 @@ class Cluster {
   const std::string& name(std::size_t server) const { return names_.at(server); }
   const BrokerUrl& url(std::size_t server) const { return urls_.at(server); }
   /// Connects and logs in, with the password as it is now. \param purpose shown by RabbitMQ's tools. \throws LinkError
-  std::unique_ptr<AmqpLink> connect(std::size_t server, const char* purpose) const;
+  std::unique_ptr<AmqpLink> connect(std::size_t server, const char* purpose, Login login) const;
 
   std::chrono::milliseconds rpc_timeout() const { return options_.rpc_timeout; }
   QueueType queue_type() const { return queue_type_; }
@@ -34,6 +37,7 @@ class Cluster {
 
  private:
   const BrokerOptions options_;
+  BrokerOptions of_readers_;
   const std::vector<BrokerUrl> urls_;
   std::vector<std::string> names_;
   QueueType queue_type_ = QueueType::classic;

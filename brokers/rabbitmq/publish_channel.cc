@@ -251,7 +251,7 @@ void PublishChannel::connect() {
   if (!server) return;
   std::unique_ptr<AmqpLink> wire;
   try {
-    wire = cluster_.connect(*server, purpose_);
+    wire = cluster_.connect(*server, purpose_, Login::writer);
     wire->open_channel(publish_channel);
     wire->select_confirms(publish_channel);
   } catch (const LinkError& error) {

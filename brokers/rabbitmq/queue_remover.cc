@@ -74,12 +74,12 @@ std::vector<QueueRemover::Unneeded> QueueRemover::try_all(std::vector<Unneeded> 
 std::unique_ptr<AmqpLink> QueueRemover::connect() const {
   for (std::size_t server = 0; server + 1 < cluster_.size(); ++server) {
     try {
-      return cluster_.connect(server, "removing queues");
+      return cluster_.connect(server, "removing queues", Login::reader);
     } catch (const LinkError& error) {
       logger.debug("{}: {}", cluster_.name(server), error.what());
     }
   }
-  return cluster_.connect(cluster_.size() - 1, "removing queues");
+  return cluster_.connect(cluster_.size() - 1, "removing queues", Login::reader);
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

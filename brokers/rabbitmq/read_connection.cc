@@ -309,7 +309,7 @@ void ReadConnection::connect() {
   {
     const config::Unlocked unlocked(core_.mutex);
     try {
-      wire = cluster_.connect(*server, purpose_);
+      wire = cluster_.connect(*server, purpose_, Login::reader);
       log_.connected(cluster_.name(*server));
     } catch (const LinkError& error) {
       log_.failed(cluster_.name(*server), error.what());

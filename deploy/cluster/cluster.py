@@ -50,8 +50,8 @@ FILES = {
               "registry.password": f"{name}.registry.password",
               **{f"{gateway}.token": f"{name}-{gateway}.token" for gateway in GATEWAYS}} for name in MASTERS},
     **{name: {**host_files(name), **ORDER_KEYS, **own_pages(name), "tokens": f"{name}.tokens", "registry.users": "registry.users",
-              "registry.password": f"{name}.registry.password", "rabbitmq.password": f"{name}.rabbitmq.password"}
-       for name in GATEWAYS},
+              "registry.password": f"{name}.registry.password", "rabbitmq.password": f"{name}.rabbitmq.password",
+              "rabbitmq-reads.password": f"{name}-reads.rabbitmq.password"} for name in GATEWAYS},
     **{name: {**host_files(name), **ORDER_KEYS, "pages.tokens": "pages.tokens", "health.token": f"{name}.pages.token",
               "registry.users": "registry.users", "registry.password": "workers.registry.password",
               "rabbitmq.password": "workers.rabbitmq.password"} for name in WORKERS},
@@ -61,13 +61,35 @@ FILES = {
     "bench": {**OPERATOR, "rabbitmq.password": "bench.rabbitmq.password"},
 }
 
-# What each user of RabbitMQ may configure, write and read: exchanges have the name of a driver, with or without `.durable`,
-# queues begin with the gateway's id (docs/wire.md#topics). All gateways use the exchanges of their drivers.
-EXCHANGES = r"[^.]+(\.durable)?"
+# What each user of RabbitMQ may configure, write and read, and with which routing keys it may write to the gateways' exchange
+# and read from it (keys and queues begin with the gateway's id, docs/wire.md#topics). All gateways have the exchange amq.topic,
+# because RabbitMQ looks at routing keys there only. Each gateway has two users. The server looks at them when a client publishes,
+# not at what comes out of a queue or an exchange: who may declare these could send anything through them, if he might also write
+# to the exchange.
+GATEWAYS_EXCHANGE = "amq.topic"
+EXCHANGE = GATEWAYS_EXCHANGE.replace(".", r"\.")
+NOTHING, EVERYTHING = "^$", ".*"
+
+
+def rights_of_gateway(gateway):
+    own = rf"{gateway}\..+"
+    return {
+        gateway: {"configure": NOTHING, "write": f"^{EXCHANGE}$", "read": NOTHING, "keys": f"^{own}$"},
+        f"{gateway}-reads": {"configure": f"^{own}$", "write": f"^{own}$", "read": f"^({EXCHANGE}|{own})$", "keys": f"^{own}$"},
+    }
+
+
+def rights_of_workers():
+    keys = rf"({'|'.join(GATEWAYS)})\..+"
+    # Exchanges have the name of a driver, with or without `.durable`, where a topic is not a gateway's (dead letters).
+    names = rf"^({EXCHANGE}|[^.]+(\.durable)?|{keys})$"
+    return {"configure": names, "write": names, "read": names, "keys": f"^{keys}$"}
+
+
 RABBITMQ_USERS = {
-    **{gateway: rf"^({EXCHANGES}|{gateway}\..+)$" for gateway in GATEWAYS},
-    "workers": rf"^({EXCHANGES}|({'|'.join(GATEWAYS)})\..+)$",
-    "bench": ".*",  # its bare clients have names of their own
+    **{user: rights for gateway in GATEWAYS for user, rights in rights_of_gateway(gateway).items()},
+    "workers": rights_of_workers(),
+    "bench": dict.fromkeys(("configure", "write", "read", "keys"), EVERYTHING),  # its bare clients have names of their own
 }
 
 
@@ -202,8 +224,10 @@ def rabbitmq_users(passwords):
         "vhosts": [{"name": "/"}],
         "users": [{"name": user, "password_hash": hashed(password), "hashing_algorithm": "rabbit_password_hashing_sha256",
                    "tags": ""} for user, password in passwords.items()],
-        "permissions": [{"user": user, "vhost": "/", "configure": names, "write": names, "read": names}
-                        for user, names in RABBITMQ_USERS.items()]}, indent=1)
+        "permissions": [{"user": user, "vhost": "/", **{what: rights[what] for what in ("configure", "write", "read")}}
+                        for user, rights in RABBITMQ_USERS.items()],
+        "topic_permissions": [{"user": user, "vhost": "/", "exchange": GATEWAYS_EXCHANGE, "write": rights["keys"],
+                               "read": rights["keys"]} for user, rights in RABBITMQ_USERS.items()]}, indent=1)
 
 
 def distribute(folder):

@@ -198,7 +198,10 @@ PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::Driver
   if (broker.type == "kafka") {
     record.properties["topic"] = given("topic", spec.name);
   } else {
-    channel.topic.exchange = given("exchange", spec.durable ? driver + ".durable" : driver.str());
+    const auto of_broker = broker.options.properties.find("exchange");
+    const std::string usual = spec.durable ? driver + ".durable" : driver.str();
+    channel.topic.exchange =
+        given("exchange", of_broker == broker.options.properties.end() ? usual : of_broker->second);
     record.properties["exchange"] = channel.topic.exchange;
     record.properties["routingKey"] = given("routingKey", given("queueName", spec.name));
     record.properties["queueName"] = given("queueName", given("routingKey", spec.name));

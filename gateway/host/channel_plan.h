@@ -25,7 +25,8 @@ struct PlannedChannel {
 
 /// Makes the plan of the channels that a driver asked for: applies "channel.<name>.<option>" properties of the
 /// deployment, picks the broker, and fills the channel's record, from which the wire name comes
-/// (discovery/channel_names.h). The exchange defaults to the driver's name; a durable channel's to
+/// (discovery/channel_names.h). The exchange defaults to the broker's property `exchange`, or else the driver's name; a
+/// durable channel's to
 /// `<driver>.durable`, because one exchange cannot be both.
 /// \throws config::Error that names the invalid channel or property.
 std::vector<PlannedChannel> plan_channels(const discovery::GatewayId& gateway, const discovery::DriverName& driver,

@@ -43,7 +43,9 @@ class TlsCluster(FaultCluster):
         super().start(brokers=[f"rabbitmq: {{type: rabbitmq, {self.access('{self}', '{self}')}}}"], **options)
 
     def access(self, name, user):
-        return (f'urls: ["{self.url}"], user: "{user}", password_file: "{self.work}/password", '
+        reader = (f'properties: {{exchange: {containers.GATEWAYS_EXCHANGE}, reader: "{user}-reads", '
+                  f'reader_password_file: "{self.work}/password"}}, ') if user != "workers" else ""
+        return (f'urls: ["{self.url}"], user: "{user}", password_file: "{self.work}/password", {reader}'
                 f'tls: {{ca: "{self.certs}/ca.pem", certificate: "{self.certs}/{name}.pem", key: "{self.certs}/{name}.key"}}')
 
     def daemon(self, program, name, configuration, enter=(), options=()):
@@ -82,7 +84,7 @@ class TlsCluster(FaultCluster):
         self.give_server_its_certificate()
         self.tell("rabbitmq", "reread")
         known = {self.days(name) for name in HOLDERS}
-        users = {"gateway-1", "gateway-2", "workers"}
+        users = {"gateway-1", "gateway-1-reads", "gateway-2", "gateway-2-reads", "workers"}
 
         def all_are_renewed():
             now = self.connections()

@@ -171,18 +171,28 @@ def replace_volume(service, old, new):
 
 
 def check_brokers_users():
-    """A gateway reaches its own queues only, workers those of the gateways, and nobody the server's own names."""
-    for user, reached in {
-            "gateway-1": ["gateway-1.loadgen.0a1b.data", "gateway-1.loadgen.data", "loadgen", "loadgen.durable"],
-            "workers": ["gateway-1.loadgen.0a1b.data", "gateway-2.loadgen.data.echo", "loadgen", "loadgen.durable"]}.items():
-        names = cluster.RABBITMQ_USERS[user]
-        for name in reached:
-            if not re.search(names, name):
-                sys.exit(f"RabbitMQ: {user} does not reach {name}")
-        others = ["amq.direct", "", "gateway-10.loadgen.data", "x.gateway-1.a", "gateway-1", "lab.loadgen.data"]
-        for name in others[:-2] + others[-1:] + (["gateway-2.loadgen.data"] if user == "gateway-1" else []):
-            if re.search(names, name):
-                sys.exit(f"RabbitMQ: {user} reaches {name}")
+    """A gateway reaches its own queues and keys only, workers those of the gateways, and nobody the server's own names. What the
+    server makes of that is tested in tests/brokers."""
+    queues = ["gateway-1.loadgen.0a1b.data", "gateway-1.loadgen.data"]
+    of_others = ["gateway-2.loadgen.data", "gateway-10.loadgen.data", "x.gateway-1.a", "lab.loadgen.data", "#"]
+    always = ["amq.direct", "amq.default", "gateway-10.loadgen.data", "x.gateway-1.a", "lab.loadgen.data"]
+    exchange = cluster.GATEWAYS_EXCHANGE
+    for user, right, reached, refused in [
+            ("gateway-1", "configure", [], [*queues, *of_others, *always, exchange, "loadgen"]),
+            ("gateway-1", "write", [exchange], [*queues, *of_others, *always, "loadgen"]),
+            ("gateway-1", "read", [], [*queues, *of_others, *always, exchange, "loadgen"]),
+            ("gateway-1", "keys", queues, of_others),
+            ("gateway-1-reads", "configure", queues, [*of_others, *always, exchange, "loadgen"]),
+            ("gateway-1-reads", "write", queues, [*of_others, *always, exchange, "loadgen"]),
+            ("gateway-1-reads", "read", [*queues, exchange], [*of_others, *always, "loadgen"]),
+            ("gateway-1-reads", "keys", queues, of_others),
+            *(("workers", right, [*queues, "gateway-2.loadgen.data.echo", exchange, "loadgen", "loadgen.durable"], always)
+              for right in ("configure", "write", "read")),
+            ("workers", "keys", [*queues, "gateway-2.loadgen.data.echo"], [*always, "#"])]:
+        pattern = cluster.RABBITMQ_USERS[user][right]
+        for name, expected in [*((name, True) for name in reached), *((name, False) for name in refused)]:
+            if bool(re.search(pattern, name)) != expected:
+                sys.exit(f"RabbitMQ: {user} {'has not' if expected else 'has'} the right {right} of \"{name}\"")
     told = json.loads(cluster.rabbitmq_users(dict.fromkeys(cluster.RABBITMQ_USERS, "sesame")))
     if {user["tags"] for user in told["users"]} != {""} or "sesame" in json.dumps(told):
         sys.exit(f"RabbitMQ's users: {told}")

@@ -40,7 +40,7 @@ def make_secrets(iotcloud, folder, services):
     for key in ("master-1.orders", "master-2.orders"):
         run(iotcloud, "keys", "new", folder / key).check_returncode()
     shutil.copy(folder / "master-1.orders.key", folder / "orders.key")
-    for name, text in {"registry.password": "a\n", "rabbitmq.password": "b\n", "pages.token": "c\n"}.items():
+    for name, text in {"registry.password": "a\n", "rabbitmq.password": "b\n", "rabbitmq-reads.password": "d\n", "pages.token": "c\n"}.items():
         (folder / name).write_text(text, encoding="utf-8")
         (folder / name).chmod(0o600)
 

@@ -99,6 +99,7 @@ class RabbitMq(private_server.Server):
                         # A node that hung is removed from the cluster, and joins it again by itself.
                         "cluster_partition_handling = pause_minority"]
         channels = ["channel_max = %d" % self.channel_max] if self.channel_max else []
+        channels += ["load_definitions = " + self.users] if self.users else []
         self.write("rabbitmq.conf", [
             "num_acceptors.tcp = 2", "num_acceptors.ssl = 2", "log.file.level = info",
             # A test's disk may be nearly full; an alarm would block every publisher.
@@ -112,7 +113,7 @@ class RabbitMq(private_server.Server):
                 % (path("ca.pem"), path("server.pem"), path("server.key")),
                 '{fail_if_no_peer_cert, true}, {crl_check, peer},',
                 '{crl_cache, {ssl_crl_hash_dir, {internal, [{dir, "%s"}]}}}]}]}].' % path("revoked")])
-        users = ["load_definitions = " + self.users] if self.users else [
+        users = [] if self.users else [
             "default_user = " + certificates.USER, "default_pass = " + certificates.PASSWORD]
         return ["listeners.tcp = none", "listeners.ssl.1 = 127.0.0.1:%d" % self.port,
                 "ssl_options.cacertfile = " + path("ca.pem"), "ssl_options.certfile = " + path("server.pem"),

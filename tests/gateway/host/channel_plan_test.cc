@@ -68,6 +68,20 @@ TEST(ChannelPlan, ASharedChannelIsNamedAfterGatewayAndDriverOnTheGroupsServer) {
   EXPECT_TRUE(planned.record.shared);
 }
 
+TEST(ChannelPlan, TheBrokersExchangeIsThatOfChannelsWhoseDriverNamesNone) {
+  auto spec = instance();
+  spec.brokers.front().options.properties = {{"exchange", "amq.topic"}};
+  auto named = channel("named");
+  named.properties = {{"exchange", "own"}};
+  auto kept = channel("kept");
+  kept.durable = true;
+  const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, spec, {channel("kinect"), named, kept});
+  EXPECT_EQ(planned.at(0).topic.exchange, "amq.topic");
+  EXPECT_EQ(planned.at(0).record.properties.at("exchange"), "amq.topic");
+  EXPECT_EQ(planned.at(1).topic.exchange, "own");
+  EXPECT_EQ(planned.at(2).topic.exchange, "amq.topic");
+}
+
 TEST(ChannelPlan, TheOtherServersOfAClusterStandInTheRecordToo) {
   auto spec = instance();
   spec.brokers.front().exclusive_urls = {"amqp://b/", "amqp://c/", "amqp://a/"};

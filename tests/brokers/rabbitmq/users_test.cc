@@ -1,0 +1,218 @@
+// What the users of docker-compose.yml may do at RabbitMQ, and what a thief of one gateway's two users tries there.
+#include <array>
+#include <cstdio>
+#include <fstream>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <amqp.h>
+#include <amqp_tcp_socket.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "iotcloud/brokers/broker_url.h"
+#include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/servers/private_server.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+using rabbitmq::to_bytes;
+using testing::HasSubstr;
+using testing::StartsWith;
+
+constexpr const char* password = "sesame";
+constexpr const char* exchange = "amq.topic";
+
+/// RabbitMQ's definitions of the users, as deploy/cluster/cluster.py makes them.
+std::string definitions() {
+  const std::string command = std::string("/usr/bin/python3 -c 'import sys; sys.path.insert(0, \"") +
+                              IOTCLOUD_TEST_SERVERS +
+                              "/../../deploy/cluster\"); import cluster; "
+                              "print(cluster.rabbitmq_users(dict.fromkeys(cluster.RABBITMQ_USERS, \"" +
+                              password + "\")))'";
+  const std::unique_ptr<FILE, int (*)(FILE*)> output(popen(command.c_str(), "r"), pclose);
+  std::string text;
+  std::array<char, 4096> piece{};
+  while (const auto size = fread(piece.data(), 1, piece.size(), output.get())) text.append(piece.data(), size);
+  return text;
+}
+
+/// A client that may do anything that its user may, beside what ours does. The server closes its channel for what is
+/// not allowed, so each attempt has its own.
+class Attempts {
+ public:
+  Attempts(const std::string& url, const char* user) : connection_(amqp_new_connection()) {
+    const BrokerUrl at = parse_broker_url(url);
+    amqp_socket_t* const socket = amqp_tcp_socket_new(connection_);
+    EXPECT_EQ(amqp_socket_open(socket, at.host.c_str(), at.port), AMQP_STATUS_OK);
+    const auto login = amqp_login(connection_, "/", 0, 131072, 0, AMQP_SASL_METHOD_PLAIN, user, password);
+    EXPECT_EQ(login.reply_type, AMQP_RESPONSE_NORMAL) << user;
+  }
+  ~Attempts() { amqp_destroy_connection(connection_); }
+  Attempts(const Attempts&) = delete;
+  Attempts& operator=(const Attempts&) = delete;
+
+  /// What the server says to each: "ok", or why not.
+  std::string declare(const std::string& queue, std::vector<std::pair<std::string, std::string>> arguments = {}) {
+    open();
+    auto table = as_table(arguments);
+    amqp_queue_declare(connection_, channel_, to_bytes(queue), 0, 0, 0, 0,
+                       {static_cast<int>(table.size()), table.data()});
+    return outcome();
+  }
+  std::string declare_exchange(const std::string& name,
+                               std::vector<std::pair<std::string, std::string>> arguments = {}) {
+    open();
+    auto table = as_table(arguments);
+    amqp_exchange_declare(connection_, channel_, to_bytes(name), amqp_cstring_bytes("fanout"), 0, 0, 0, 0,
+                          {static_cast<int>(table.size()), table.data()});
+    return outcome();
+  }
+  std::string bind(const std::string& queue, const std::string& from, const std::string& key) {
+    open();
+    amqp_queue_bind(connection_, channel_, to_bytes(queue), to_bytes(from), to_bytes(key), amqp_empty_table);
+    return outcome();
+  }
+  std::string bind_exchange(const std::string& to, const std::string& from, const std::string& key) {
+    open();
+    amqp_exchange_bind(connection_, channel_, to_bytes(to), to_bytes(from), to_bytes(key), amqp_empty_table);
+    return outcome();
+  }
+  std::string publish(const std::string& to, const std::string& key) {
+    open();
+    amqp_confirm_select(connection_, channel_);
+    EXPECT_EQ(outcome(), "ok");
+    amqp_basic_publish(connection_, channel_, to_bytes(to), to_bytes(key), 0, 0, nullptr, amqp_cstring_bytes("forged"));
+    amqp_frame_t answer{};
+    while (amqp_simple_wait_frame(connection_, &answer) == AMQP_STATUS_OK) {
+      if (answer.frame_type != AMQP_FRAME_METHOD || answer.channel != channel_) continue;
+      if (answer.payload.method.id == AMQP_BASIC_ACK_METHOD) return "ok";
+      if (answer.payload.method.id == AMQP_CHANNEL_CLOSE_METHOD) return closed(answer.payload.method.decoded);
+    }
+    return "the connection broke";
+  }
+  std::string consume(const std::string& queue) {
+    open();
+    amqp_basic_consume(connection_, channel_, to_bytes(queue), amqp_empty_bytes, 0, 1, 0, amqp_empty_table);
+    return outcome();
+  }
+
+ private:
+  static std::vector<amqp_table_entry_t> as_table(const std::vector<std::pair<std::string, std::string>>& arguments) {
+    std::vector<amqp_table_entry_t> table(arguments.size());
+    for (std::size_t i = 0; i < arguments.size(); ++i) {
+      table[i].key = to_bytes(arguments[i].first);
+      table[i].value.kind = AMQP_FIELD_KIND_UTF8;
+      table[i].value.value.bytes = to_bytes(arguments[i].second);
+    }
+    return table;
+  }
+  void open() {
+    amqp_channel_open(connection_, ++channel_);
+    EXPECT_EQ(outcome(), "ok");
+  }
+  std::string outcome() {
+    const auto reply = amqp_get_rpc_reply(connection_);
+    if (reply.reply_type == AMQP_RESPONSE_NORMAL) return "ok";
+    if (reply.reply_type == AMQP_RESPONSE_SERVER_EXCEPTION && reply.reply.id == AMQP_CHANNEL_CLOSE_METHOD)
+      return closed(reply.reply.decoded);
+    return "the connection broke";
+  }
+  std::string closed(const void* decoded) {
+    const auto& text = static_cast<const amqp_channel_close_t*>(decoded)->reply_text;
+    const std::string why(static_cast<const char*>(text.bytes), text.len);
+    amqp_channel_close_ok_t ok{};
+    amqp_send_method(connection_, channel_, AMQP_CHANNEL_CLOSE_OK_METHOD, &ok);
+    return why;
+  }
+  const amqp_connection_state_t connection_;
+  amqp_channel_t channel_ = 0;
+};
+
+class RabbitMqUsers : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    folder_ = testing::TempDir();
+    std::ofstream(folder_ + "/rabbitmq_users.json") << definitions();
+    std::ofstream(folder_ + "/rabbitmq_password") << password << '\n';
+    server_ = new tests::PrivateServer("rabbitmq.py", {"--users", folder_ + "/rabbitmq_users.json"});
+  }
+  static void TearDownTestSuite() { delete std::exchange(server_, nullptr); }
+
+  static std::unique_ptr<Broker> broker_of(const std::string& user, bool is_gateway) {
+    BrokerOptions options;
+    options.urls = {server_->url()};
+    options.user = user;
+    options.password_file = folder_ + "/rabbitmq_password";
+    if (is_gateway) {
+      options.properties = {
+          {"exchange", exchange}, {"reader", user + "-reads"}, {"reader_password_file", options.password_file}};
+    }
+    return make_broker(options);
+  }
+  static std::string folder_;
+  static tests::PrivateServer* server_;
+};
+std::string RabbitMqUsers::folder_;
+tests::PrivateServer* RabbitMqUsers::server_ = nullptr;
+
+TEST_F(RabbitMqUsers, GatewaysAndWorkersGetEachOthersMessages) {
+  const auto gateway = broker_of("gateway-1", true), workers = broker_of("workers", false);
+  for (const bool durable : {false, true}) {
+    const std::string suffix = durable ? ".kept" : "";
+    const Topic data{exchange, "gateway-1.turtle.one.data" + suffix, durable};
+    const Topic control{exchange, "gateway-1.turtle.one.control" + suffix, durable};
+    Inbox at_workers, at_gateway;
+    SubscriptionOptions as_group;
+    as_group.group = "echo";
+    const auto reads_data = workers->subscribe(data, as_group, at_workers.handler());
+    const auto reads_control = gateway->subscribe(control, {}, at_gateway.handler());
+    const auto sends_data = gateway->publisher(data, {}), sends_control = workers->publisher(control, {});
+    for (const auto& body : numbered(1, 3)) EXPECT_EQ(sends_data->publish(text_message(body)), PublishStatus::accepted);
+    for (const auto& body : numbered(4, 6))
+      EXPECT_EQ(sends_control->publish(text_message(body)), PublishStatus::accepted);
+    EXPECT_TRUE(at_workers.wait_for(3));
+    EXPECT_TRUE(at_gateway.wait_for(3));
+    EXPECT_THAT(at_workers.bodies(), testing::ElementsAre("1", "2", "3"));
+    EXPECT_THAT(at_gateway.bodies(), testing::ElementsAre("4", "5", "6"));
+  }
+}
+
+TEST_F(RabbitMqUsers, TheThiefOfAGatewayNeitherSendsAsAnotherOneNorReadsItsMessages) {
+  const std::string own = "gateway-1.turtle.one.data", foreign = "gateway-2.turtle.two.data";
+  const auto refused = HasSubstr("ACCESS_REFUSED");
+  Attempts writer(server_->url(), "gateway-1"), reader(server_->url(), "gateway-1-reads");
+  EXPECT_EQ(writer.publish(exchange, own), "ok");
+  EXPECT_EQ(reader.declare("gateway-1.mine"), "ok");
+  EXPECT_EQ(reader.bind("gateway-1.mine", exchange, own), "ok");
+
+  // Straight on.
+  EXPECT_THAT(writer.publish(exchange, foreign), refused);
+  EXPECT_THAT(writer.publish("", foreign), refused) << "the queue itself, by the server's own exchange";
+  for (const auto& key : {foreign, std::string("#"), std::string("*.turtle.#"), std::string("gateway-1")})
+    EXPECT_THAT(reader.bind("gateway-1.mine", exchange, key), refused) << key;
+  EXPECT_THAT(reader.declare("gateway-2.turtle.two.control"), refused);
+  EXPECT_THAT(reader.consume("gateway-2.turtle.two.control"), refused);
+  EXPECT_THAT(reader.publish(exchange, own), refused);
+
+  // By what hands a message on without its sender: it takes both users' rights in one.
+  const std::vector<std::pair<std::string, std::string>> dead = {{"x-dead-letter-exchange", exchange},
+                                                                 {"x-dead-letter-routing-key", foreign}};
+  const std::vector<std::pair<std::string, std::string>> alternate = {{"alternate-exchange", exchange}};
+  EXPECT_THAT(reader.declare("gateway-1.dead", dead), refused);
+  EXPECT_THAT(reader.declare_exchange("gateway-1.alternate", alternate), refused);
+  EXPECT_EQ(reader.declare_exchange("gateway-1.source"), "ok");
+  EXPECT_THAT(reader.bind_exchange(exchange, "gateway-1.source", "#"), refused);
+  EXPECT_THAT(reader.bind_exchange("gateway-1.source", exchange, "#"), refused);
+  EXPECT_THAT(writer.declare("gateway-1.dead", dead), refused);
+  EXPECT_THAT(writer.declare_exchange("gateway-1.alternate", alternate), refused);
+  EXPECT_THAT(writer.bind_exchange(exchange, "gateway-1.source", "#"), refused);
+  EXPECT_THAT(writer.publish("gateway-1.source", foreign), refused);
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers
