@@ -99,7 +99,7 @@ Connections::Links Connections::links() const {
 void Connections::keep() {
   const config::MutexLock lock(mutex_);
   const auto stopping = [this]() IOTCLOUD_REQUIRES(mutex_) { return stopping_; };
-  while (!stop_.wait_for(mutex_, keeper_period, stopping)) {
+  while (!stop_.wait_until(mutex_, clock_, clock_.now() + keeper_period, stopping)) {
     const Links now = links();
     // Look_after() locks links' mutexes, uses sockets and resolves names, which may take long.
     const config::Unlocked unlocked(mutex_);
@@ -135,11 +135,11 @@ void Connections::ask_preferred(const Links& links) {
     for (const auto& link : links.consuming) what(*link);
   };
   bool must_ask = false;
-  for_each([&](const auto& link) { must_ask = must_ask || link.must_ask_preferred(); });
+  for_each([&](auto& link) { must_ask = must_ask || link.life().must_ask_preferred(); });
   if (must_ask && !probe_.under_way()) probe_.start();
   const std::optional<bool> answer = probe_.poll();
   if (!answer) return;
-  for_each([&](auto& link) { link.preferred_answered(*answer); });
+  for_each([&](auto& link) { link.life().preferred_answered(*answer); });
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

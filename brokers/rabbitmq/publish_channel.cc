@@ -2,11 +2,9 @@
 
 #include <algorithm>
 #include <cstddef>
-#include <exception>
 #include <utility>
 
 #include <fmt/core.h>
-#include <pthread.h>
 #include <sys/socket.h>
 
 #include "iotcloud/brokers/rabbitmq/wire/declarations.h"
@@ -20,9 +18,6 @@ constexpr std::size_t sent_in_a_row = 256;
 // After this many nacks in a row for one publisher's messages the client reconnects.
 constexpr std::size_t nacks_of_stale_channel = 4;
 constexpr std::chrono::minutes renewals_forgotten_after{1};
-// How long to wait for the answers to sent messages before the connection moves to the preferred server.
-constexpr std::chrono::seconds patience_before_moving{2};
-constexpr std::chrono::milliseconds look_while_moving{50};
 constexpr std::chrono::milliseconds longest_sleep{1000};
 
 /// Whether the server will never accept a message for which it closed the channel: the message is too large (311; 406
@@ -39,32 +34,30 @@ PublishChannel::PublishChannel(const Cluster& cluster, const char* purpose, Mete
     : cluster_(cluster),
       purpose_(purpose),
       clock_(clock),
-      log_(log),
       core_(*this, meters, clock),
       answers_(cluster.confirm_timeout()),
-      servers_(cluster.size()),
       burst_target_(std::make_shared<client::Burst::Target>([this] {
         const config::MutexLock lock(core_.mutex);
         push();
-      })) {
-  thread_ = std::thread([this] { run(); });
-  pthread_setname_np(thread_.native_handle(), "amqp-publish");
+      })),
+      life_(*this, core_.mutex, sleep_, cluster, clock, log) {
+  const config::MutexLock lock(core_.mutex);
+  life_.start("amqp-publish");
 }
 
 PublishChannel::~PublishChannel() {
   burst_target_->close();
   {
     const config::MutexLock lock(core_.mutex);
-    closing_ = true;
+    life_.begin_to_end();
   }
-  sleep_.signal();
-  thread_.join();
+  life_.join();
 }
 
 ConnectionState PublishChannel::state() const {
   const config::MutexLock lock(core_.mutex);
-  if (closing_) return ConnectionState::closed;
-  if (!connected_) return ConnectionState::connecting;
+  if (life_.ending()) return ConnectionState::closed;
+  if (!wire_) return ConnectionState::connecting;
   return blocked_ ? ConnectionState::blocked : ConnectionState::connected;
 }
 
@@ -76,26 +69,15 @@ void PublishChannel::watch() {
   }
 }
 
-bool PublishChannel::must_ask_preferred() const {
-  const config::MutexLock lock(core_.mutex);
-  return servers_.must_ask(clock_.now());
-}
-
-void PublishChannel::preferred_answered(bool answers) {
-  const config::MutexLock lock(core_.mutex);
-  servers_.asked(answers, clock_.now());
-  if (servers_.must_move_back(clock_.now())) wake();
-}
-
 void PublishChannel::added(const std::shared_ptr<Outbox>& outbox) {
-  if (!connected_) return;
+  if (!wire_) return;
   undeclared_.push_back(outbox);
   wake();
 }
 
 client::PublishTransport::Room PublishChannel::room(const std::shared_ptr<Outbox>& /*outbox*/, const Message& next,
                                                     bool /*alone*/) {
-  if (!connected_ || blocked_ || moving_since_ || broken_) return Room::full;
+  if (!wire_ || blocked_ || life_.moving() || life_.broken()) return Room::full;
   return std::exchange(writable_, false) || wire_->room_for(next.payload.size()) ? Room::yes : Room::full;
 }
 
@@ -108,7 +90,7 @@ void PublishChannel::send(UnderWay& message) {
 
 void PublishChannel::send_alone(UnderWay& message) {
   // A sleeping channel's thread need not wake up for the answer at once.
-  if (sleeping_ && tags_.empty()) sleep_.put_off(gathering_time);
+  if (life_.sleeps() && tags_.empty()) sleep_.put_off(gathering_time);
   give_tag(message);
   const Instant now = clock_.now();
   client::Burst* const burst = client::Burst::going_on();
@@ -156,8 +138,7 @@ void PublishChannel::put(const UnderWay& message, Instant now) {
 
 // For a failed send, or if memory ran out in the middle of a frame.
 void PublishChannel::broke(const char* /*why*/) noexcept {
-  broken_ = std::current_exception();
-  wake();
+  life_.broke();
 }
 
 void PublishChannel::left_waiting(const std::shared_ptr<Outbox>& /*outbox*/, Instant /*now*/) {
@@ -171,172 +152,107 @@ void PublishChannel::want_answers() {
 }
 
 void PublishChannel::wake() noexcept {
-  if (std::exchange(sleeping_, false)) sleep_.signal();
+  life_.wake();
 }
 
 void PublishChannel::push() {
   if (std::exchange(held_back_, false) && wire_) wire_->push();
 }
 
-void PublishChannel::run() {
-  bool readable = true;
-  bool writable = false;
-  for (;;) {
-    try {
-      if (!wire_) connect();
-      if (wire_) serve(readable, writable);
-      if (wire_) check_answers();
-      if (wire_) move_back();
-    } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
-      lose(error.what());
-    }
-    const config::MutexLock lock(core_.mutex);
-    core_.report();
-    if (closing_) break;
-    sleep(readable, writable);
-  }
-  std::unique_ptr<AmqpLink> wire;
-  {
-    const config::MutexLock lock(core_.mutex);
-    wire = give_up_wire();
-  }
-  if (wire) wire->close(publish_channel);
-}
-
-void PublishChannel::sleep(bool& readable, bool& writable) {
-  std::chrono::milliseconds limit = time_to_sleep();
-  const bool want_write = connected_ && !blocked_ && !moving_since_ && core_.has_waiting();
+ConnectionLife::Rest PublishChannel::rest() {
+  core_.mutex.assert_held();
+  ConnectionLife::Rest rest;
+  rest.limit = time_to_sleep();
+  rest.want_write = wire_ && !blocked_ && !life_.moving() && core_.has_waiting();
   if (tags_.empty()) answers_wanted_ = false;
   const bool gathering =
-      connected_ && !tags_.empty() && tags_.size() < most_gathered && !answers_wanted_ && !core_.has_waiting();
-  if (gathering) limit = std::min(limit, gathering_time);
-  sleep_.watch(connected_ && !gathering ? wire_->descriptor() : -1, want_write);
-  sleeping_ = true;
-  LinkSleep::Result woken;
-  {
-    const config::Unlocked unlocked(core_.mutex);
-    woken = sleep_.wait(limit);
-  }
-  sleeping_ = false;
-  writable = woken.writable;
-  readable = woken.readable || !woken.writable;  // read after a time-out too, which handles heartbeats
+      wire_ && !tags_.empty() && tags_.size() < most_gathered && !answers_wanted_ && !core_.has_waiting();
+  if (gathering) rest.limit = std::min(rest.limit, gathering_time);
+  if (wire_ && !gathering) rest.socket = wire_->descriptor();
+  return rest;
 }
 
 std::chrono::milliseconds PublishChannel::time_to_sleep() {
   using std::chrono::milliseconds;
   if (core_.fire_timers()) return milliseconds(0);
   // Do not sleep if other threads left work while this thread was awake: they do not wake it then.
-  if (core_.report_due() || broken_ || (connected_ && !undeclared_.empty())) return milliseconds(0);
+  if (core_.report_due() || (wire_ && !undeclared_.empty())) return milliseconds(0);
   milliseconds limit = longest_sleep;
-  const auto until = [&, now = clock_.now()](Instant instant) {
-    if (instant == Instant::max()) return;
-    limit = std::clamp(std::chrono::ceil<milliseconds>(instant - now), milliseconds(0), limit);
-  };
-  until(core_.next_timer());
-  if (connected_) {
-    limit = std::min(limit, milliseconds(wire_->heartbeat()) / 2);
-  } else {
-    until(servers_.next_attempt());
+  if (core_.next_timer() != Instant::max()) {
+    const auto left = std::chrono::ceil<milliseconds>(core_.next_timer() - clock_.now());
+    limit = std::clamp(left, milliseconds(0), limit);
   }
-  if (moving_since_) limit = std::min(limit, look_while_moving);
-  return limit;
+  return wire_ ? std::min(limit, milliseconds(wire_->heartbeat()) / 2) : limit;
 }
 
-void PublishChannel::connect() {
-  std::optional<std::size_t> server;
-  {
-    const config::MutexLock lock(core_.mutex);
-    server = servers_.due(clock_.now());
-  }
-  if (!server) return;
-  std::unique_ptr<AmqpLink> wire;
-  try {
-    wire = cluster_.connect(*server, purpose_, Login::writer);
-    wire->open_channel(publish_channel);
-    wire->select_confirms(publish_channel);
-  } catch (const LinkError& error) {
-    log_.failed(cluster_.name(*server), error.what());
-    const config::MutexLock lock(core_.mutex);
-    servers_.failed(*server, clock_.now());
-    return;
-  }
-  log_.connected(cluster_.name(*server));
-  const config::MutexLock lock(core_.mutex);
-  servers_.connected(*server, clock_.now());
-  wire_ = std::move(wire);
-  connected_ = true;
+void PublishChannel::open(std::size_t server) {
+  auto wire = cluster_.connect(server, purpose_, Login::writer);
+  wire->open_channel(publish_channel);
+  wire->select_confirms(publish_channel);
+  spare_ = std::move(wire);
+}
+
+void PublishChannel::opened() {
+  core_.mutex.assert_held();
+  wire_ = std::move(spare_);
   blocked_ = writable_ = reading_return_ = false;
-  broken_ = nullptr;
   declared_.clear();
   undeclared_ = core_.outboxes();
 }
 
-void PublishChannel::serve(bool readable, bool writable) {
-  const config::MutexLock lock(core_.mutex);
-  const PublishCore::Turn turn(core_);
-  if (broken_) std::rethrow_exception(broken_);
-  push();
-  declare_topics();
-  if (readable || wire_->has_buffered()) {
-    const config::Unlocked unlocked(core_.mutex);
-    read_frames();
+void PublishChannel::serve(ConnectionLife::Readiness ready) {
+  core_.mutex.assert_held();
+  {
+    const PublishCore::Turn turn(core_);
+    push();
+    declare_topics();
+    if (ready.readable || wire_->has_buffered()) {
+      const config::Unlocked unlocked(core_.mutex);
+      read_frames();
+    }
+    writable_ = ready.writable;
+    core_.send_waiting(turn, sent_in_a_row);
+    writable_ = false;
+    while (wire_->has_buffered()) {  // because a send also reads when heartbeats are due
+      const config::Unlocked unlocked(core_.mutex);
+      read_frames();
+    }
   }
-  writable_ = writable;
-  core_.send_waiting(turn, sent_in_a_row);
-  writable_ = false;
-  while (wire_->has_buffered()) {  // because a send also reads when heartbeats are due
-    const config::Unlocked unlocked(core_.mutex);
-    read_frames();
-  }
+  check_answers();
 }
 
-std::unique_ptr<AmqpLink> PublishChannel::give_up_wire() {
-  const PublishCore::Turn turn(core_);
-  connected_ = blocked_ = held_back_ = false;
-  broken_ = nullptr;
-  return std::move(wire_);
+void PublishChannel::call_back() {
+  core_.mutex.assert_held();
+  core_.report();
 }
 
-void PublishChannel::forget_connection(bool one_by_one) {
+bool PublishChannel::idle() const {
+  core_.mutex.assert_held();
+  return tags_.empty();
+}
+
+void PublishChannel::forget() {
+  core_.mutex.assert_held();
+  const PublishCore::Turn turn(core_);
+  blocked_ = held_back_ = false;
+  spare_ = std::move(wire_);
+  undeclared_.clear();
+  forget_channel(false);
+}
+
+void PublishChannel::close(bool in_order) noexcept {
+  if (in_order) spare_->close(publish_channel);
+  spare_.reset();
+}
+
+void PublishChannel::forget_channel(bool one_by_one) {
   core_.connection_lost(one_by_one);
   tags_.clear();
   first_tag_ = 1;
   answers_.rest(clock_.now());
 }
 
-void PublishChannel::lose(const std::string& reason) {
-  std::unique_ptr<AmqpLink> wire;  // declared before the lock, so that it is closed without the mutex
-  const config::MutexLock lock(core_.mutex);
-  if (servers_.current()) log_.lost(cluster_.name(*servers_.current()), reason);
-  servers_.lost(clock_.now());
-  wire = give_up_wire();
-  moving_since_.reset();
-  undeclared_.clear();
-  forget_connection(false);
-}
-
-void PublishChannel::move_back() {
-  std::unique_ptr<AmqpLink> wire;
-  {
-    const config::MutexLock lock(core_.mutex);
-    const Instant now = clock_.now();
-    if (!moving_since_) {
-      if (!servers_.must_move_back(now)) return;
-      moving_since_ = now;
-    }
-    if (!tags_.empty() && now - *moving_since_ < patience_before_moving) return;
-    logger.info("{} answers again: going back to it", cluster_.name(client::ServerList::preferred));
-    wire = give_up_wire();
-    servers_.left();
-    moving_since_.reset();
-    undeclared_.clear();
-    forget_connection(false);
-  }
-  wire->close(publish_channel);
-}
-
 void PublishChannel::check_answers() {
-  const config::MutexLock lock(core_.mutex);
   const Instant now = clock_.now();
   if (tags_.empty() || blocked_) return answers_.rest(now);
   const auto overdue = answers_.overdue(first_tag_, now);
@@ -491,7 +407,7 @@ void PublishChannel::on_channel_closed(const amqp_channel_close_t& closed) {
       // Otherwise the exchange was deleted: declare it again and send the message at once.
       core_.refused_for_now(*only, why);
     }
-    forget_connection(true);
+    forget_channel(true);
     declared_.clear();
     undeclared_ = core_.outboxes();  // declare everything again, because an exchange may have been deleted
   }

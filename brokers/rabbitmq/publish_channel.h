@@ -3,23 +3,20 @@
 #include <chrono>
 #include <cstdint>
 #include <deque>
-#include <exception>
 #include <memory>
 #include <optional>
 #include <set>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
 #include "iotcloud/brokers/client/backoff.h"
 #include "iotcloud/brokers/client/burst.h"
-#include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/client/publish_core.h"
-#include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/answer_watch.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
+#include "iotcloud/brokers/rabbitmq/connection_life.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/brokers/rabbitmq/wire/headers.h"
 #include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
@@ -27,7 +24,6 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-using client::ConnectionLog;
 using client::Outbox;
 using client::PublishCore;
 using client::UnderWay;
@@ -39,7 +35,7 @@ using client::UnderWay;
 /// time, the one that has the core's Turn; the core's mutex is never held during I/O. A caller sends on its own thread
 /// if the socket's buffer has room; the channel's thread does everything else (answers, heartbeats, waiting messages,
 /// connecting).
-class PublishChannel final : client::PublishTransport {
+class PublishChannel final : client::PublishTransport, ConnectionLife::Owner {
  public:
   /// \param purpose shown by RabbitMQ's tools. The other arguments outlive this object.
   PublishChannel(const Cluster& cluster, const char* purpose, Meters& meters, const config::Clock& clock,
@@ -53,10 +49,8 @@ class PublishChannel final : client::PublishTransport {
   ConnectionState state() const;
   /// The broker's keeper calls this periodically: breaks a connection on which a send is stuck for too long.
   void watch();
-  /// Whether it is time to probe the preferred server; preferred_answered() takes the result, after which the
-  /// connection may move back.
-  bool must_ask_preferred() const;
-  void preferred_answered(bool answers);
+  /// For the broker's keeper, which probes the preferred server.
+  ConnectionLife& life() { return life_; }
 
  private:
   using Instant = config::Clock::Instant;
@@ -73,22 +67,24 @@ class PublishChannel final : client::PublishTransport {
   void want_answers() override IOTCLOUD_REQUIRES(core_.mutex);
   void wake() noexcept override IOTCLOUD_REQUIRES(core_.mutex);
 
-  // Run on the channel's thread.
-  void run();
-  void sleep(bool& readable, bool& writable) IOTCLOUD_REQUIRES(core_.mutex);
+  // The ConnectionLife's Owner.
+  void open(std::size_t server) override IOTCLOUD_EXCLUDES(core_.mutex);
+  void opened() override;
+  void serve(ConnectionLife::Readiness ready) override;
+  void call_back() override;
+  ConnectionLife::Rest rest() override;
+  bool idle() const override;
+  void finish() override {}  // what was sent is answered, or is sent again
+  void forget() override;
+  void close(bool in_order) noexcept override IOTCLOUD_EXCLUDES(core_.mutex);
+
   std::chrono::milliseconds time_to_sleep() IOTCLOUD_REQUIRES(core_.mutex);
-  void connect();
-  void serve(bool readable, bool writable);
-  void lose(const std::string& reason);
-  /// If the connection is to move to the preferred server: closes it once no message is under way, or that takes too
-  /// long.
-  void move_back();
   /// Ends a connection on which the oldest message has been unanswered for too long.
-  void check_answers();
+  void check_answers() IOTCLOUD_REQUIRES(core_.mutex);
   void declare_topics() IOTCLOUD_REQUIRES(core_.mutex);
-  /// Makes messages under way wait again, and forgets declarations. The caller closes the wire, or has closed it.
-  void forget_connection(bool one_by_one) IOTCLOUD_REQUIRES(core_.mutex);
-  std::unique_ptr<AmqpLink> give_up_wire() IOTCLOUD_REQUIRES(core_.mutex);
+  /// The server has forgotten the channel: makes messages under way wait again. \param one_by_one as in
+  /// PublishCore::connection_lost()
+  void forget_channel(bool one_by_one) IOTCLOUD_REQUIRES(core_.mutex);
 
   // Handle what the server sends. These need the core's Turn.
   void read_frames() IOTCLOUD_EXCLUDES(core_.mutex);
@@ -111,22 +107,19 @@ class PublishChannel final : client::PublishTransport {
   const Cluster& cluster_;
   const char* const purpose_;
   const config::Clock& clock_;
-  ConnectionLog& log_;
   LinkSleep sleep_;  ///< watch() and put_off() need the mutex
   PublishCore core_;
 
-  // Used by the thread that has the core's Turn; replaced by the channel's thread, with the Turn and the mutex.
+  // Used by the thread that has the core's Turn; replaced by the channel's thread, with the Turn and the mutex. Null
+  // while there is no connection.
   std::unique_ptr<AmqpLink> wire_;
+  /// A connection that is not used yet, or not any more. Only the channel's thread uses it.
+  std::unique_ptr<AmqpLink> spare_;
   MessageProperties properties_;
   bool reading_return_ = false;  ///< the next header frame is that of a returned message
 
-  bool closing_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  bool connected_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   /// The server asked us to publish nothing (memory or disk alarm).
   bool blocked_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  /// The exception with which a caller's send failed; the channel's thread cleans up. Null: none failed.
-  std::exception_ptr broken_ IOTCLOUD_GUARDED_BY(core_.mutex);
-  bool sleeping_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   /// Poll reported room, so one message can be sent without asking again.
   bool writable_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
   /// Somebody waits for answers to messages under way. Otherwise the channel's thread lets answers gather before it
@@ -147,12 +140,9 @@ class PublishChannel final : client::PublishTransport {
   Instant next_renewal_ IOTCLOUD_GUARDED_BY(core_.mutex){};
   client::Backoff renewals_ IOTCLOUD_GUARDED_BY(core_.mutex){std::chrono::milliseconds(1000),
                                                              std::chrono::milliseconds(30'000)};
-  client::ServerList servers_ IOTCLOUD_GUARDED_BY(core_.mutex);
-  /// Set while the connection is about to move to the preferred server: nothing new is sent.
-  std::optional<Instant> moving_since_ IOTCLOUD_GUARDED_BY(core_.mutex);
 
   const std::shared_ptr<client::Burst::Target> burst_target_;
-  std::thread thread_;
+  ConnectionLife life_;
 };
 
 }  // namespace iotcloud::brokers::rabbitmq

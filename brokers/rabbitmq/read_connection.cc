@@ -1,10 +1,7 @@
 #include "iotcloud/brokers/rabbitmq/read_connection.h"
 
 #include <algorithm>
-#include <exception>
 #include <utility>
-
-#include <pthread.h>
 
 #include "iotcloud/brokers/client/burst.h"
 #include <iotcloud/brokers/rabbitmq/logger.h>
@@ -16,9 +13,6 @@ namespace {
 constexpr std::size_t batch = 64;
 // How long acknowledgements may gather, so that one covers many messages.
 constexpr std::chrono::milliseconds gathering_time{2};
-// How long handed-on messages may take to be settled before the connection moves to the preferred server.
-constexpr std::chrono::seconds moving_patience{2};
-constexpr std::chrono::milliseconds moving_period{50};
 
 // The most frames, and bytes of bodies, read in a row before handlers run: the bytes read last are still in the
 // processor's cache, but megabytes would not be.
@@ -47,24 +41,20 @@ ReadConnection::ReadConnection(const Cluster& cluster, const char* purpose, Mete
       purpose_(purpose),
       meters_(meters),
       clock_(clock),
-      log_(log),
       core_(*this, meters, clock, gathering_time),
       channel_limit_(static_cast<std::size_t>(cluster.channels())),
-      servers_(cluster.size()) {}
+      life_(*this, core_.mutex, sleep_, cluster, clock, log) {}
 
 void ReadConnection::close() {
   {
     const config::MutexLock lock(core_.mutex);
-    if (std::exchange(closing_, true) || !started_) return;
+    if (!life_.begin_to_end()) return;
     core_.stop();
   }
-  sleep_.signal();
-  thread_.join();
+  life_.join();
   // Readers own their connection, so the connection must drop its references to them, or neither would be destroyed.
   const config::MutexLock lock(core_.mutex);
-  const WireTurn turn(*this);
-  wire_role_.assert_held();
-  forget_connection();
+  forget();
 }
 
 std::shared_ptr<QueueReader> ReadConnection::add(const Topic& topic, const SubscriptionOptions& options,
@@ -74,17 +64,9 @@ std::shared_ptr<QueueReader> ReadConnection::add(const Topic& topic, const Subsc
   const config::MutexLock lock(core_.mutex);
   readers_.push_back(reader);
   set_timer(*reader, clock_.now());
-  start();
-  return reader;
-}
-
-void ReadConnection::start() {
-  if (closing_) return;
-  if (!std::exchange(started_, true)) {
-    thread_ = std::thread([this] { run(); });
-    pthread_setname_np(thread_.native_handle(), "amqp-consume");
-  }
+  life_.start("amqp-consume");
   wake();
+  return reader;
 }
 
 bool ReadConnection::has_room() const {
@@ -110,18 +92,8 @@ void ReadConnection::share(ReadConnection& other) {
     reader->move_to(other.shared_from_this());
     other.readers_.push_back(reader);
   }
-  other.start();
-}
-
-bool ReadConnection::must_ask_preferred() const {
-  const config::MutexLock lock(core_.mutex);
-  return servers_.must_ask(clock_.now());
-}
-
-void ReadConnection::preferred_answered(bool answers) {
-  const config::MutexLock lock(core_.mutex);
-  servers_.asked(answers, clock_.now());
-  if (servers_.must_move_back(clock_.now())) wake();
+  other.life_.start("amqp-consume");
+  other.wake();
 }
 
 bool ReadConnection::remove(const std::shared_ptr<QueueReader>& reader) {
@@ -180,8 +152,8 @@ bool ReadConnection::active(const QueueReader& reader) const {
 
 ConnectionState ReadConnection::state() const {
   const config::MutexLock lock(core_.mutex);
-  if (closing_) return ConnectionState::closed;
-  return !started_ || wire_ ? ConnectionState::connected : ConnectionState::connecting;
+  if (life_.ending()) return ConnectionState::closed;
+  return !life_.started() || wire_ ? ConnectionState::connected : ConnectionState::connecting;
 }
 
 void ReadConnection::settle(QueueReader& reader, std::uint64_t public_tag, Settlement settlement) noexcept {
@@ -193,8 +165,8 @@ void ReadConnection::settle(QueueReader& reader, std::uint64_t public_tag, Settl
 void ReadConnection::settled(client::DeliveryStream& stream, bool /*first*/) noexcept {
   // Normally the connection's thread sends settlements after its handlers. This thread does if that thread sleeps, or
   // is busy while unsent settlements use up much of the prefetch.
-  if (core_.hands_on_here() || (!sleeping_ && stream.window.settled() <= stream.patience())) return;
-  if (!wire_ || broken_) return;
+  if (core_.hands_on_here() || (!life_.sleeps() && stream.window.settled() <= stream.patience())) return;
+  if (!wire_ || life_.broken()) return;
   if (core_.settlements_due()) {
     write_or_leave();
   } else {
@@ -203,11 +175,11 @@ void ReadConnection::settled(client::DeliveryStream& stream, bool /*first*/) noe
 }
 
 void ReadConnection::wake() noexcept {
-  if (std::exchange(sleeping_, false)) sleep_.signal();
+  life_.wake();
 }
 
 void ReadConnection::write_or_leave() noexcept {
-  if (!wire_ || broken_) return;
+  if (!wire_ || life_.broken()) return;
   left_for_wire_ = true;
   if (wire_taken_) return;
   try {
@@ -215,47 +187,30 @@ void ReadConnection::write_or_leave() noexcept {
     wire_role_.assert_held();
     write_all();
   } catch (...) {
-    broken_ = std::current_exception();
+    life_.broke();
   }
-  if (broken_ || unwritten_ || buffered_) wake();
+  if (unwritten_ || buffered_) wake();
 }
 
-void ReadConnection::run() {
-  const config::MutexLock lock(core_.mutex);
-  while (!closing_) {
-    try {
-      if (!wire_) connect();
-      if (wire_) serve();
-      hand_on();
-      write_due();
-      move_back();
-    } catch (const std::exception& error) {  // LinkError, or memory that ran out: both end this connection
-      lose(error.what());
-    }
-    if (!closing_) sleep();
-  }
-  try {
-    const WireTurn turn(*this);
-    wire_role_.assert_held();
-    if (wire_) write_the_rest();
-    // The connection broke: the server delivers messages with unsent settlements again.
-  } catch (const std::exception& error) {
-    log_.lost(error.what());
-  }
-  const WireTurn turn(*this);
-  const std::unique_ptr<AmqpLink> wire = std::move(wire_);
-  const config::Unlocked unlocked(core_.mutex);
-  if (wire) wire->close(0);
+void ReadConnection::open(std::size_t server) {
+  spare_ = cluster_.connect(server, purpose_, Login::reader);
 }
 
-void ReadConnection::serve() {
+void ReadConnection::opened() {
+  core_.mutex.assert_held();
+  wire_ = std::move(spare_);
+  channel_limit_ = static_cast<std::size_t>(wire_->channel_limit());
+  for (const auto& reader : readers_) set_timer(*reader, clock_.now());
+}
+
+void ReadConnection::serve(ConnectionLife::Readiness ready) {
+  core_.mutex.assert_held();
   const WireTurn turn(*this);
   wire_role_.assert_held();
-  if (broken_) std::rethrow_exception(broken_);
-  channels_.socket_has_room(woken_to_write_);
+  channels_.socket_has_room(ready.writable);
   check_timers();
   write();
-  if (readable_ || wire_->has_buffered()) {
+  if (ready.readable || wire_->has_buffered()) {
     const config::Unlocked unlocked(core_.mutex);
     read_frames();
   }
@@ -263,87 +218,67 @@ void ReadConnection::serve() {
   if (left_for_wire_) write_all();
 }
 
+void ReadConnection::call_back() {
+  core_.mutex.assert_held();
+  hand_on();
+  write_due();
+}
+
 void ReadConnection::write_due() {
-  if (!wire_ || broken_) return;
+  if (!wire_ || life_.broken()) return;
   if (!unwritten_ && !left_for_wire_ && leaving_.empty() && !core_.settlements_due()) return;
   const WireTurn turn(*this);
   wire_role_.assert_held();
   write_all();
 }
 
-void ReadConnection::sleep() {
-  readable_ = true;
-  woken_to_write_ = false;
-  if (wire_ && !broken_ && buffered_) return;  // frames are buffered: read them without polling the socket
-  const bool more = (core_.has_ready() && !moving_since_) || broken_ || left_for_wire_;
-  const std::chrono::milliseconds limit = more ? std::chrono::milliseconds(0) : time_to_sleep();
-  sleep_.watch(wire_ ? wire_->descriptor() : -1, unwritten_);
-  sleeping_ = !more;
-  LinkSleep::Result woken;
-  {
-    const config::Unlocked unlocked(core_.mutex);
-    woken = sleep_.wait(limit);
-  }
-  sleeping_ = false;
-  readable_ = woken.readable || !more;  // read after a time-out too, which handles heartbeats
-  woken_to_write_ = woken.writable;
+ConnectionLife::Rest ReadConnection::rest() {
+  core_.mutex.assert_held();
+  ConnectionLife::Rest rest;
+  rest.unread = wire_ && buffered_;
+  const bool more = (core_.has_ready() && !life_.moving()) || left_for_wire_;
+  if (!more) rest.limit = time_to_sleep();
+  if (wire_) rest.socket = wire_->descriptor();
+  rest.want_write = unwritten_;
+  return rest;
 }
 
 std::chrono::milliseconds ReadConnection::time_to_sleep() const {
+  if (!wire_) return std::chrono::minutes(1);
   const Instant now = clock_.now();
   const auto until = [&](Instant instant) {
     return std::max(std::chrono::milliseconds(0), std::chrono::ceil<std::chrono::milliseconds>(instant - now));
   };
-  if (!wire_) return until(servers_.next_attempt());
   std::chrono::milliseconds limit = std::chrono::milliseconds(wire_->heartbeat()) / 2;
-  if (moving_since_) limit = std::min(limit, moving_period);
   if (next_timer_) limit = std::min(limit, until(*next_timer_));
   if (!core_.dirty().empty()) limit = std::min(limit, until(core_.gathered_at()));
   return limit;
 }
 
-void ReadConnection::connect() {
-  const std::optional<std::size_t> server = servers_.due(clock_.now());
-  if (!server) return;
-  std::unique_ptr<AmqpLink> wire;
-  {
-    const config::Unlocked unlocked(core_.mutex);
-    try {
-      wire = cluster_.connect(*server, purpose_, Login::reader);
-      log_.connected(cluster_.name(*server));
-    } catch (const LinkError& error) {
-      log_.failed(cluster_.name(*server), error.what());
-    }
-  }
-  broken_ = nullptr;
-  wire_ = std::move(wire);
-  if (!wire_) {
-    servers_.failed(*server, clock_.now());
-    return;
-  }
-  servers_.connected(*server, clock_.now());
-  channel_limit_ = static_cast<std::size_t>(wire_->channel_limit());
-  for (const auto& reader : readers_) set_timer(*reader, clock_.now());
+bool ReadConnection::idle() const {
+  core_.mutex.assert_held();
+  return std::all_of(readers_.begin(), readers_.end(),
+                     [](const auto& reader) { return reader->window.handed_on() == 0; });
 }
 
-void ReadConnection::lose(const std::string& reason) {
-  if (servers_.current()) log_.lost(cluster_.name(*servers_.current()), reason);
-  servers_.lost(clock_.now());
-  std::unique_ptr<AmqpLink> wire;
-  {
-    const WireTurn turn(*this);
-    wire_role_.assert_held();
-    wire = std::move(wire_);
-    forget_connection();
+void ReadConnection::finish() {
+  core_.mutex.assert_held();
+  const WireTurn turn(*this);
+  wire_role_.assert_held();
+  for (const auto& reader : readers_) {
+    if (reader->channel != 0) channels_.settle(*reader, 0);
   }
+  gather();
   const config::Unlocked unlocked(core_.mutex);
-  wire.reset();
+  channels_.write_all(*wire_);
 }
 
-void ReadConnection::forget_connection() {
-  broken_ = nullptr;
+void ReadConnection::forget() {
+  core_.mutex.assert_held();
+  const WireTurn turn(*this);
+  wire_role_.assert_held();
+  spare_ = std::move(wire_);
   left_for_wire_ = unwritten_ = openers_wait_ = false;
-  moving_since_.reset();
   channels_.clear();
   leaving_.clear();
   asking_.clear();
@@ -354,34 +289,13 @@ void ReadConnection::forget_connection() {
   }
 }
 
-void ReadConnection::move_back() {
-  if (!wire_ || broken_) return;
-  const Instant now = clock_.now();
-  if (!moving_since_) {
-    if (!servers_.must_move_back(now)) return;
-    moving_since_ = now;
-  }
-  const bool idle =
-      std::all_of(readers_.begin(), readers_.end(), [](const auto& reader) { return reader->window.handed_on() == 0; });
-  if (!idle && now - *moving_since_ < moving_patience) return;
-  std::unique_ptr<AmqpLink> wire;
-  {
-    const WireTurn turn(*this);
-    wire_role_.assert_held();
-    for (const auto& reader : readers_) {
-      if (reader->channel != 0) channels_.settle(*reader, 0);
-    }
-    write_the_rest();
-    wire = std::move(wire_);
-    servers_.left();
-    forget_connection();
-  }
-  const config::Unlocked unlocked(core_.mutex);
-  wire->close(0);
+void ReadConnection::close(bool in_order) noexcept {
+  if (in_order) spare_->close(0);
+  spare_.reset();
 }
 
 void ReadConnection::hand_on() {
-  if (!core_.has_ready() || moving_since_) return;
+  if (!core_.has_ready() || life_.moving()) return;
   std::optional<client::Burst> burst(std::in_place, clock_);
   {
     ReadCore::Turn turn(core_);
@@ -401,7 +315,7 @@ void ReadConnection::hand_on() {
 void ReadConnection::read_during_handler() {
   const config::MutexLock lock(core_.mutex);
   // A user's thread that has the WireTurn needs it only for a moment.
-  if (!core_.hands_on() || !wire_ || broken_ || wire_taken_) return;
+  if (!core_.hands_on() || !wire_ || life_.broken() || wire_taken_) return;
   try {
     const WireTurn turn(*this);
     wire_role_.assert_held();
@@ -412,7 +326,7 @@ void ReadConnection::read_during_handler() {
     }
     write_all();
   } catch (...) {
-    broken_ = std::current_exception();
+    life_.broke();
   }
   wake();  // the connection's thread may sleep by now, and there may be messages to hand on
 }
@@ -529,7 +443,7 @@ void ReadConnection::retry_later(QueueReader& reader) {
   set_timer(reader, clock_.now() + reader.backoff.next());
 }
 
-void ReadConnection::open(const std::shared_ptr<QueueReader>& reader) {
+void ReadConnection::request(const std::shared_ptr<QueueReader>& reader) {
   const auto limit = static_cast<amqp_channel_t>(wire_->channel_limit());
   if (channels_.size() >= limit) {
     retry_later(*reader);  // until a closing channel becomes free, or the keeper finds another connection
@@ -569,7 +483,7 @@ void ReadConnection::check_timers() {
     }
     reader->retry_at.reset();
     if (reader->phase != QueueReader::Phase::idle) continue;
-    open(reader);
+    request(reader);
     if (reader->phase == QueueReader::Phase::opening) ++opening;
   }
 }
@@ -608,12 +522,6 @@ void ReadConnection::write_all() {
     write();
   } while (left_for_wire_ && !unwritten_);
   left_for_wire_ = false;  // the rest is written when the socket is writable
-}
-
-void ReadConnection::write_the_rest() {
-  gather();
-  const config::Unlocked unlocked(core_.mutex);
-  channels_.write_all(*wire_);
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

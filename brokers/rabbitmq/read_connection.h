@@ -2,18 +2,14 @@
 
 #include <chrono>
 #include <cstdint>
-#include <exception>
 #include <memory>
 #include <optional>
-#include <string>
-#include <thread>
 #include <vector>
 
-#include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/client/read_core.h"
-#include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/meters.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
+#include "iotcloud/brokers/rabbitmq/connection_life.h"
 #include "iotcloud/brokers/rabbitmq/queue_reader.h"
 #include "iotcloud/brokers/rabbitmq/read_channels.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
@@ -22,7 +18,6 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-using client::ConnectionLog;
 using client::ReadCore;
 
 /// A consuming connection of a broker object: the transport of a ReadCore, with one thread that reads the connection
@@ -39,7 +34,9 @@ using client::ReadCore;
 /// thread that does. If no other thread has the WireTurn, it writes itself, which saves waking the connection's thread
 /// for each acknowledgement; otherwise the thread that has the WireTurn writes. While a handler runs long the broker's
 /// keeper reads on (read_during_handler()), up to the prefetch, answers heartbeats, and sends settlements.
-class ReadConnection final : client::ReadTransport, public std::enable_shared_from_this<ReadConnection> {
+class ReadConnection final : client::ReadTransport,
+                             ConnectionLife::Owner,
+                             public std::enable_shared_from_this<ReadConnection> {
  public:
   /// \param purpose shown by RabbitMQ's tools. The other arguments outlive close().
   ReadConnection(const Cluster& cluster, const char* purpose, Meters& meters, const config::Clock& clock,
@@ -72,10 +69,8 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   /// Moves subscriptions for which it has no channel to another connection, as many as that one takes. Only the keeper
   /// calls it, so that no other thread holds the mutexes of two connections.
   void share(ReadConnection& other);
-  /// Whether it is time to probe the preferred server; preferred_answered() takes the result, after which the
-  /// connection may move back.
-  bool must_ask_preferred() const;
-  void preferred_answered(bool answers);
+  /// For the broker's keeper, which probes the preferred server.
+  ConnectionLife& life() { return life_; }
 
  private:
   using Instant = config::Clock::Instant;
@@ -100,20 +95,21 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
 
   bool reads_here(const QueueReader& reader) const { return reader.connection().get() == this; }
 
+  // The ConnectionLife's Owner.
+  void open(std::size_t server) override IOTCLOUD_EXCLUDES(core_.mutex);
+  void opened() override;
+  void serve(ConnectionLife::Readiness ready) override;
+  void call_back() override;
+  ConnectionLife::Rest rest() override;
+  bool idle() const override;
+  void finish() override;
+  void forget() override;
+  void close(bool in_order) noexcept override IOTCLOUD_EXCLUDES(core_.mutex);
+
   // Run on the connection's thread.
-  void start() IOTCLOUD_REQUIRES(core_.mutex);
-  void run();
-  void connect() IOTCLOUD_REQUIRES(core_.mutex);
-  void serve() IOTCLOUD_REQUIRES(core_.mutex);
   void hand_on() IOTCLOUD_REQUIRES(core_.mutex);
   void write_due() IOTCLOUD_REQUIRES(core_.mutex);
-  void sleep() IOTCLOUD_REQUIRES(core_.mutex);
   std::chrono::milliseconds time_to_sleep() const IOTCLOUD_REQUIRES(core_.mutex);
-  void lose(const std::string& reason) IOTCLOUD_REQUIRES(core_.mutex);
-  /// If the connection is to move to the preferred server: closes it once all handed-on messages are settled, or that
-  /// takes too long.
-  void move_back() IOTCLOUD_REQUIRES(core_.mutex);
-  void forget_connection() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
 
   // These need the WireTurn and throw LinkError.
   void read_frames() IOTCLOUD_EXCLUDES(core_.mutex) IOTCLOUD_REQUIRES(wire_role_);
@@ -124,7 +120,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   void on_channel_closed(QueueReader* reader, const amqp_channel_close_t& why, amqp_channel_t channel)
       IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   bool handlers_wait() const IOTCLOUD_EXCLUDES(core_.mutex);
-  void open(const std::shared_ptr<QueueReader>& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
+  void request(const std::shared_ptr<QueueReader>& reader) IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   void check_timers() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// Turns settlements and ended subscriptions into outgoing methods.
   void gather() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
@@ -132,8 +128,6 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   void write() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
   /// gather() and write(), repeated if other threads left something meanwhile.
   void write_all() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
-  /// Writes everything before the connection is closed; waits until the socket takes it.
-  void write_the_rest() IOTCLOUD_REQUIRES(core_.mutex, wire_role_);
 
   /// write_all() on a user's thread if no other thread has the WireTurn; otherwise that thread does it.
   void write_or_leave() noexcept IOTCLOUD_REQUIRES(core_.mutex);
@@ -146,12 +140,14 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
   const char* const purpose_;
   Meters& meters_;
   const config::Clock& clock_;
-  ConnectionLog& log_;
   LinkSleep sleep_;  ///< only the connection's thread calls watch()
   ReadCore core_;
 
   // Used by the thread that has the WireTurn; replaced by the connection's thread, with the WireTurn and the mutex.
+  // Null while there is no connection.
   std::unique_ptr<AmqpLink> wire_;
+  /// A connection that is not used yet, or not any more. Only the connection's thread uses it.
+  std::unique_ptr<AmqpLink> spare_;
   config::ThreadRole wire_role_;  ///< the thread that has the WireTurn
   ReadChannels channels_ IOTCLOUD_GUARDED_BY(wire_role_);
 
@@ -163,15 +159,7 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
       false;  ///< the socket took no more; some outgoing methods are left
   /// The AmqpLink holds received bytes, which poll() does not show.
   bool buffered_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  bool readable_ IOTCLOUD_GUARDED_BY(core_.mutex) = true;  ///< used by the connection's thread: read the wire
-  /// Used by the connection's thread: poll reported the socket as writable.
-  bool woken_to_write_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
 
-  bool started_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  bool closing_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;
-  /// Why another thread found the connection broken; null: none did.
-  std::exception_ptr broken_ IOTCLOUD_GUARDED_BY(core_.mutex);
-  bool sleeping_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;  ///< the connection's thread sleeps
   std::vector<std::shared_ptr<QueueReader>> readers_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Removed subscriptions whose channels are not closed yet.
   std::vector<std::shared_ptr<QueueReader>> leaving_ IOTCLOUD_GUARDED_BY(core_.mutex);
@@ -186,11 +174,8 @@ class ReadConnection final : client::ReadTransport, public std::enable_shared_fr
 
   /// The number of channels that we request; once connected, the number that the server allows.
   std::size_t channel_limit_ IOTCLOUD_GUARDED_BY(core_.mutex);
-  client::ServerList servers_ IOTCLOUD_GUARDED_BY(core_.mutex);
-  /// Set while the connection is about to move to the preferred server: nothing is handed on.
-  std::optional<Instant> moving_since_ IOTCLOUD_GUARDED_BY(core_.mutex);
 
-  std::thread thread_;
+  ConnectionLife life_;
 };
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -14,8 +14,23 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
+/// Where a connection's thread sleeps: in LinkSleep, or in a test's own, which goes by a clock that the test moves.
+class ConnectionSleep {
+ public:
+  virtual ~ConnectionSleep() = default;
+  /// Ends the present wait(), or else the next one. Thread safe.
+  virtual void signal() noexcept = 0;
+  /// Sets the socket that ends the next wait(); -1: none. A broken connection always ends it.
+  virtual void watch(int socket, bool want_write) = 0;
+  struct Result {
+    bool readable = false;
+    bool writable = false;
+  };
+  virtual Result wait(std::chrono::milliseconds limit) = 0;
+};
+
 /// Lets a link's thread sleep on its socket, while others can wake it at once, or set a later time without waking it.
-class LinkSleep {
+class LinkSleep final : public ConnectionSleep {
  public:
   LinkSleep()
       : set_(::epoll_create1(EPOLL_CLOEXEC)),
@@ -27,19 +42,17 @@ class LinkSleep {
       throw std::runtime_error("cannot make a descriptor to sleep on: too many open files?");
     }
   }
-  ~LinkSleep() { close_all(); }
+  ~LinkSleep() override { close_all(); }
   LinkSleep(const LinkSleep&) = delete;
   LinkSleep& operator=(const LinkSleep&) = delete;
 
-  /// Thread safe.
-  void signal() {
+  void signal() noexcept override {
     const std::uint64_t one = 1;
     [[maybe_unused]] const auto written = ::write(event_, &one, sizeof(one));  // if it is full, it is signalled already
   }
 
-  /// Sets the socket that ends the next wait(); -1: none. A broken connection always ends it. Calls of this and of
-  /// put_off() must not overlap.
-  void watch(int socket, bool want_write) {
+  /// Calls of this and of put_off() must not overlap.
+  void watch(int socket, bool want_write) override {
     if (socket_ >= 0 && socket_ != socket) change(EPOLL_CTL_MOD, socket_, 0);
     socket_ = socket;
     if (socket_ >= 0) listen(want_write ? EPOLLIN | EPOLLOUT : EPOLLIN);
@@ -56,11 +69,7 @@ class LinkSleep {
     ::timerfd_settime(timer_, 0, &once, nullptr);
   }
 
-  struct Result {
-    bool readable = false;
-    bool writable = false;
-  };
-  Result wait(std::chrono::milliseconds limit) {
+  Result wait(std::chrono::milliseconds limit) override {
     std::array<epoll_event, 3> came{};
     const int count = ::epoll_wait(set_, came.data(), static_cast<int>(came.size()), static_cast<int>(limit.count()));
     Result result;
