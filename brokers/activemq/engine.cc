@@ -36,9 +36,8 @@ constexpr std::size_t most_read_at_once = 1U << 20U;
 constexpr const char* own_trouble = "iotcloud:socket";
 constexpr const char* system_authorities = "/etc/ssl/certs/ca-certificates.crt";
 
-std::int64_t steady_ms() {
-  return std::chrono::duration_cast<std::chrono::milliseconds>(std::chrono::steady_clock::now().time_since_epoch())
-      .count();
+std::int64_t to_ms(config::Clock::Instant time) {
+  return std::chrono::duration_cast<std::chrono::milliseconds>(time.time_since_epoch()).count();
 }
 
 std::string unique_name(const std::string& purpose) {
@@ -82,7 +81,9 @@ void Engine::AddressesFreer::operator()(addrinfo* list) const {
   ::freeaddrinfo(list);
 }
 
-Engine::Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose) {
+Engine::Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose,
+               const config::Clock& clock)
+    : clock_(clock) {
   const Credentials credentials = credentials_for(options, url);
   addrinfo hints{};
   hints.ai_socktype = SOCK_STREAM;
@@ -186,9 +187,9 @@ void Engine::receive(bool readable, bool writable) {
   }
   // Take the time before the socket is read: bytes that arrived while this process stood still then count as a sign of
   // life of the server.
-  const auto looked_at = steady_ms();
+  const auto looked_at = clock_.now();
   const bool came = read();
-  pn_transport_tick(transport(), came ? steady_ms() : looked_at);
+  pn_transport_tick(transport(), to_ms(came ? clock_.now() : looked_at));
 }
 
 bool Engine::read() {

@@ -12,6 +12,7 @@
 #include "iotcloud/brokers/activemq/wire/wire_message.h"
 #include "iotcloud/brokers/broker_url.h"
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/clock.h>
 
 struct addrinfo;
 
@@ -28,7 +29,7 @@ class Engine {
   /// Begins to connect. May wait until the host's name is resolved.
   /// \param purpose for the server's list of connections
   /// \throws config::Error for an unknown host name, and for an unreadable certificate or password
-  Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose);
+  Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose, const config::Clock& clock);
   ~Engine();
   Engine(const Engine&) = delete;
   Engine& operator=(const Engine&) = delete;
@@ -60,6 +61,7 @@ class Engine {
   void fail(int error);
   bool read();  ///< \return whether bytes came
 
+  const config::Clock& clock_;
   pn_connection_driver_t driver_{};
   std::unique_ptr<pn_connection_driver_t, DriverDestroyer> destroyer_;
   std::unique_ptr<addrinfo, AddressesFreer> addresses_;

@@ -80,7 +80,7 @@ void IoLoop::stand_by() {
   while (!ending_) {
     const std::uint64_t round = rounds_;
     const std::uint64_t batch = batches_;
-    if (changed_.wait_for(mutex_, look_every, [this] { return ending_.load(); })) return;
+    if (changed_.wait_until(mutex_, clock_, clock_.now() + look_every, [this] { return ending_.load(); })) return;
     if (handler_ == server_ && rounds_ == round) {
       server_ = std::this_thread::get_id();
       return;

@@ -145,13 +145,12 @@ bool ReceiverLink::has_handlers_to_run() {
 }
 
 void ReceiverLink::run_handlers() {
-  using Steady = std::chrono::steady_clock;
   const config::MutexLock lock(mutex_);
   assert_held();
   ReadCore::Turn turn(core_);
   if (!turn) return;
-  const Steady::time_point begin = Steady::now();
-  Steady::time_point last = begin;
+  const Instant begin = now();
+  Instant last = begin;
   bool was_quick = true;
   for (int count = 0;; ++count) {
     const bool serves = loop_.serves();
@@ -159,8 +158,8 @@ void ReceiverLink::run_handlers() {
     if (core_.take(turn) == nullptr) break;
     loop_.gather(serves && was_quick && core_.has_ready());
     core_.run(turn);
-    const Steady::time_point now = Steady::now();
-    was_quick = now - std::exchange(last, now) < quick;
+    const Instant after = now();
+    was_quick = after - std::exchange(last, after) < quick;
     if (was_quick || !loop_.serves()) continue;
     const config::Unlocked unlocked(mutex_);
     loop_.flush();

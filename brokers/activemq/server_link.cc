@@ -188,7 +188,7 @@ void ServerLink::attempt(std::size_t server) {
   {
     const config::Unlocked unlocked(mutex_);
     try {
-      engine = std::make_unique<Engine>(options_, urls_[server], purpose_);
+      engine = std::make_unique<Engine>(options_, urls_[server], purpose_, clock_);
     } catch (const std::exception& error) {
       problem = error.what();
     }

@@ -67,7 +67,7 @@ void Connection::sleep(std::optional<Instant> until) {
   const config::MutexLock lock(sleep_mutex_);
   const auto over = [this]() IOTCLOUD_REQUIRES(sleep_mutex_) { return woken_; };
   if (until) {
-    sleep_over_.wait_for(sleep_mutex_, *until - clock.now(), over);
+    sleep_over_.wait_until(sleep_mutex_, clock, *until, over);
   } else {
     sleep_over_.wait(sleep_mutex_, over);
   }

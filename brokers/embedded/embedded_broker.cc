@@ -64,13 +64,13 @@ class EmbeddedPublisher final : public Publisher {
   }
 
   bool drain(std::chrono::milliseconds limit) override {
-    const auto end = std::chrono::steady_clock::now() + limit;
+    const Instant end = connection_->clock.now() + limit;
     const config::MutexLock lock(server_.mutex);
     connection_->assert_held();
     while (publisher_->pending > 0) {
       if (!publisher_->events.empty() && !publisher_->reporting) {
         connection_->report(publisher_);
-      } else if (connection_->changed.wait_until(server_.mutex, end) == std::cv_status::timeout) {
+      } else if (connection_->changed.wait_until(server_.mutex, connection_->clock, end) == std::cv_status::timeout) {
         return publisher_->pending == 0;
       }
     }

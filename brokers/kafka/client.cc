@@ -176,8 +176,7 @@ int Client::partitions(const std::string& topic, std::chrono::milliseconds limit
   return count;
 }
 
-void Client::refresh_credentials(const KafkaOptions& options) {
-  const auto now = std::chrono::steady_clock::now();
+void Client::refresh_credentials(const KafkaOptions& options, config::Clock::Instant now) {
   if (now - refreshed_ < refresh_period) return;
   refreshed_ = now;
   try {

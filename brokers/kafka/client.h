@@ -12,6 +12,7 @@
 
 #include "iotcloud/brokers/broker_url.h"
 #include <iotcloud/brokers/broker.h>
+#include <iotcloud/config/clock.h>
 
 namespace iotcloud::brokers::kafka {
 
@@ -67,11 +68,11 @@ class Client {
   /// How many partitions of this topic a server knows; 0: none, perhaps not yet, just after the topic was made. Waits
   /// for the answer.
   int partitions(const std::string& topic, std::chrono::milliseconds limit) const;
-  /// Reads user and password again for the next log-in, unless it did so a moment ago. Not thread safe.
-  void refresh_credentials(const KafkaOptions& options);
+  /// Reads user and password again for the next log-in, unless it did so a moment before `now`. Not thread safe.
+  void refresh_credentials(const KafkaOptions& options, config::Clock::Instant now);
 
  private:
-  std::chrono::steady_clock::time_point refreshed_{};
+  config::Clock::Instant refreshed_{};
   rd_kafka_t* handle_ = nullptr;
 };
 

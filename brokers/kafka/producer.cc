@@ -437,7 +437,7 @@ void Producer::look_for_servers() {
     const std::shared_ptr<Client> client = client_;
     const config::Unlocked unlocked(core_.mutex);  // without the mutex, because it may read a password file
     connected = client->connected();
-    if (!connected) client->refresh_credentials(options_);
+    if (!connected) client->refresh_credentials(options_, clock_.now());
   }
   if (!connected && connected_ && clock_.now() - doubted_at_ < longest_doubt) return;
   doubted_at_ = {};

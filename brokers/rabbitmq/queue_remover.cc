@@ -21,7 +21,7 @@ QueueRemover::~QueueRemover() {
 
 void QueueRemover::remove(std::string queue) {
   const config::MutexLock lock(mutex_);
-  queues_.push_back({std::move(queue), config::system_clock().now() + patience});
+  queues_.push_back({std::move(queue), clock_.now() + patience});
   if (!thread_.joinable()) thread_ = std::thread([this] { run(); });
   changed_.notify_all();
 }
@@ -39,47 +39,59 @@ void QueueRemover::run() {
     }
     if (refused.empty()) continue;
     std::move(refused.begin(), refused.end(), std::back_inserter(queues_));
-    changed_.wait_for(mutex_, pause);
+    changed_.wait_until(mutex_, clock_, clock_.now() + pause);
   }
 }
 
 /// Asks the server to remove each queue once. \return the queues that the server keeps for now, to be tried again
 std::vector<QueueRemover::Unneeded> QueueRemover::try_all(std::vector<Unneeded> queues) {
-  std::vector<Unneeded> refused;
-  std::size_t asked = 0;
+  std::vector<std::string> names;
+  for (const Unneeded& unneeded : queues) names.push_back(unneeded.queue);
+  std::vector<std::string> answers;
+  std::string trouble;
   try {
-    const auto link = connect();
-    for (auto& unneeded : queues) {
-      const std::string why = link->remove_idle_queue(publish_channel, unneeded.queue);
-      ++asked;
-      if (why.empty()) {
-        logger.debug("the queue {} is removed: nobody needs it any more", unneeded.queue);
-      } else if (config::system_clock().now() < unneeded.until) {
-        refused.push_back(std::move(unneeded));
-      } else {
-        logger.info("nobody needs the queue {} any more, but the server keeps it: {}", unneeded.queue, why);
-      }
-    }
-    link->close(0);
+    attempt_(names, answers);
   } catch (const LinkError& error) {
-    for (std::size_t i = asked; i < queues.size(); ++i) {
+    trouble = error.what();
+  }
+  std::vector<Unneeded> refused;
+  for (std::size_t i = 0; i < queues.size(); ++i) {
+    if (i >= answers.size()) {
       logger.info("nobody needs the queue {} any more, but the server could not be asked to remove it: {}",
-                  queues[i].queue, error.what());
+                  queues[i].queue, trouble);
+    } else if (answers[i].empty()) {
+      logger.debug("the queue {} is removed: nobody needs it any more", queues[i].queue);
+    } else if (clock_.now() < queues[i].until) {
+      refused.push_back(std::move(queues[i]));
+    } else {
+      logger.info("nobody needs the queue {} any more, but the server keeps it: {}", queues[i].queue, answers[i]);
     }
   }
   return refused;
 }
 
+namespace {
+
 /// Connects to the first server that answers. \throws LinkError if none does.
-std::unique_ptr<AmqpLink> QueueRemover::connect() const {
-  for (std::size_t server = 0; server + 1 < cluster_.size(); ++server) {
+std::unique_ptr<AmqpLink> connect_to_remove(const Cluster& cluster) {
+  for (std::size_t server = 0; server + 1 < cluster.size(); ++server) {
     try {
-      return cluster_.connect(server, "removing queues", Login::reader);
+      return cluster.connect(server, "removing queues", Login::reader);
     } catch (const LinkError& error) {
-      logger.debug("{}: {}", cluster_.name(server), error.what());
+      logger.debug("{}: {}", cluster.name(server), error.what());
     }
   }
-  return cluster_.connect(cluster_.size() - 1, "removing queues", Login::reader);
+  return cluster.connect(cluster.size() - 1, "removing queues", Login::reader);
+}
+
+}  // namespace
+
+QueueRemover::Attempt attempt_at(const Cluster& cluster) {
+  return [&cluster](const std::vector<std::string>& queues, std::vector<std::string>& answers) {
+    const auto link = connect_to_remove(cluster);
+    for (const std::string& queue : queues) answers.push_back(link->remove_idle_queue(publish_channel, queue));
+    link->close(0);
+  };
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

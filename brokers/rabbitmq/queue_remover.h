@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <functional>
 #include <string>
 #include <thread>
 #include <vector>
@@ -11,12 +12,16 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// Removes queues that nobody needs any more, see Broker::remove_queue(). A thread does it, on a connection that is
-/// open while there are such queues. Thread safe.
+/// Removes queues that nobody needs any more, see Broker::remove_queue(). A thread asks the server again and again, as
+/// long as a queue is in use and its time is not up. Waits go by the injected clock. Thread safe.
 class QueueRemover {
  public:
-  /// \param cluster outlives this object
-  explicit QueueRemover(const Cluster& cluster) : cluster_(cluster) {}
+  /// Asks a server once to remove each of these queues. \param answers gets for each one an empty text, or why the
+  /// server keeps it. \throws LinkError if no server can be asked, or cannot be asked any more
+  using Attempt = std::function<void(const std::vector<std::string>& queues, std::vector<std::string>& answers)>;
+
+  /// \param clock outlives this object
+  QueueRemover(Attempt attempt, const config::Clock& clock) : attempt_(std::move(attempt)), clock_(clock) {}
   /// Waits until the server has taken all queues, or time is up.
   ~QueueRemover();
   QueueRemover(const QueueRemover&) = delete;
@@ -37,14 +42,17 @@ class QueueRemover {
 
   void run();
   std::vector<Unneeded> try_all(std::vector<Unneeded> queues) IOTCLOUD_EXCLUDES(mutex_);
-  std::unique_ptr<AmqpLink> connect() const;
 
-  const Cluster& cluster_;
+  const Attempt attempt_;
+  const config::Clock& clock_;
   config::Mutex mutex_;
   config::ConditionVariable changed_;
   std::vector<Unneeded> queues_ IOTCLOUD_GUARDED_BY(mutex_);
   bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::thread thread_ IOTCLOUD_GUARDED_BY(mutex_);  ///< since the first queue
 };
+
+/// An attempt on a connection of its own, to the first server of the cluster that answers. \param cluster outlives it
+QueueRemover::Attempt attempt_at(const Cluster& cluster);
 
 }  // namespace iotcloud::brokers::rabbitmq

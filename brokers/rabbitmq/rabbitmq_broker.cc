@@ -62,7 +62,7 @@ class RabbitMqBroker final : public Broker {
       : url_(options.urls.front()),
         cluster_(options, urls),
         meters_(options.metrics, "rabbitmq"),
-        connections_(cluster_, meters_, options.clock != nullptr ? *options.clock : config::system_clock()) {}
+        clock_(options.clock != nullptr ? *options.clock : config::system_clock()) {}
   ~RabbitMqBroker() override { connections_.stop_reading(); }  // the member dead_letters_ is destroyed next
 
   std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
@@ -93,8 +93,9 @@ class RabbitMqBroker final : public Broker {
   const std::string url_;
   const Cluster cluster_;
   Meters meters_;
-  QueueRemover queue_remover_{cluster_};
-  Connections connections_;
+  const config::Clock& clock_;
+  QueueRemover queue_remover_{attempt_at(cluster_), clock_};
+  Connections connections_{cluster_, meters_, clock_};
   /// Declared after the connections, so that its publishers are destroyed before them.
   DeadLetters dead_letters_{*this};
 };

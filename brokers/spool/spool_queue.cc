@@ -32,10 +32,6 @@ SpoolStore::Options store_options(const SpoolOptions& spool) {
   return options;
 }
 
-Served::Time now() {
-  return std::chrono::steady_clock::now();
-}
-
 PublisherOptions with_some_capacity(PublisherOptions options) {
   options.capacity = std::max<std::size_t>(options.capacity, 1);
   return options;
@@ -62,6 +58,7 @@ SpoolQueue::SpoolQueue(const Topic& topic, const PublisherOptions& options, cons
       options_(with_some_capacity(options)),
       spool_(spool),
       clock_(spool.clock != nullptr ? *spool.clock : config::system_clock()),
+      thread_(SpoolThread::of_process(clock_)),
       store_(store_options(spool)),
       ledger_(store_.mark(), store_.next_sequence()),
       meters_(spool.metrics, spool.labels) {
@@ -201,7 +198,7 @@ Published SpoolQueue::publish(Message message) {
     stuck = sync_stuck();
   }
   Position where;
-  const auto accepted = clock_.now();
+  const auto accepted = now();
   const std::int64_t accepted_ms = clock_.wall_ms();
   const Stored stored = why_not != nullptr ? Stored::never
                         : stuck            ? Stored::no_room
@@ -292,7 +289,7 @@ std::optional<Record> SpoolQueue::next_waiting() {
       count(lost, reason::spool_damaged);
     }
     if (!record || record->sequence < ledger_.unsent()) continue;
-    if (options_.deadline.count() > 0 && age_of(*record, clock_.now()) >= options_.deadline) {
+    if (options_.deadline.count() > 0 && age_of(*record, now()) >= options_.deadline) {
       count(ledger_.drop_below(record->sequence + 1, reason::deadline), reason::deadline);
       continue;
     }
@@ -310,11 +307,11 @@ void SpoolQueue::send_waiting() {
     if (!record) break;
     Past past;
     past.possibly_sent = ledger_.is_old(record->sequence);
-    const auto now = clock_.now();
-    past.age = age_of(*record, now);
+    const Time at = now();
+    past.age = age_of(*record, at);
     if (ledger_.unsent() != record->sequence) continue;
     Message message = record->message;
-    if (!send(std::move(message), past, now - past.age)) held_ = std::move(record);
+    if (!send(std::move(message), past, at - past.age)) held_ = std::move(record);
   }
 }
 
@@ -390,7 +387,8 @@ void SpoolQueue::tell(const std::vector<Ledger::Event>& events, std::uint64_t st
 
 bool SpoolQueue::drain(std::chrono::milliseconds limit) {
   const config::MutexLock lock(mutex_);
-  return changed_.wait_for(mutex_, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return ledger_.pending() == 0; });
+  return changed_.wait_until(mutex_, clock_, now() + limit,
+                             [this]() IOTCLOUD_REQUIRES(mutex_) { return ledger_.pending() == 0; });
 }
 
 void SpoolQueue::tidy() {

@@ -76,6 +76,7 @@ class SpoolQueue final : public Served, public std::enable_shared_from_this<Spoo
   void report() IOTCLOUD_REQUIRES(mutex_);
   void tell(const std::vector<Ledger::Event>& events, std::uint64_t stored, bool writable) IOTCLOUD_EXCLUDES(mutex_);
   void wake() { thread_->wake(*this); }
+  Time now() const { return clock_.now(); }
   /// How long ago a record's message was accepted: one of an earlier process by the time of day, which is all that the
   /// record has of it.
   std::chrono::milliseconds age_of(const Record& record, config::Clock::Instant now) const IOTCLOUD_REQUIRES(mutex_);
@@ -84,7 +85,7 @@ class SpoolQueue final : public Served, public std::enable_shared_from_this<Spoo
   const PublisherOptions options_;
   const SpoolOptions spool_;
   const config::Clock& clock_;
-  const std::shared_ptr<SpoolThread> thread_ = SpoolThread::of_process();
+  const std::shared_ptr<SpoolThread> thread_;
 
   config::Mutex order_ IOTCLOUD_ACQUIRED_BEFORE(mutex_);
   SpoolStore store_;                                       ///< order_ guards appending to it

@@ -1,7 +1,6 @@
 #include "iotcloud/brokers/spool/spool_thread.h"
 
 #include <algorithm>
-#include <chrono>
 
 #include <pthread.h>
 
@@ -12,16 +11,17 @@ using Time = Served::Time;
 
 }  // namespace
 
-std::shared_ptr<SpoolThread> SpoolThread::of_process() {
+std::shared_ptr<SpoolThread> SpoolThread::of_process(const config::Clock& clock) {
   static config::Mutex mutex;
-  static std::weak_ptr<SpoolThread> shared;
+  static std::map<const config::Clock*, std::weak_ptr<SpoolThread>> threads;
   const config::MutexLock lock(mutex);
-  auto thread = shared.lock();
-  if (!thread) shared = thread = std::make_shared<SpoolThread>();
+  std::erase_if(threads, [](const auto& entry) { return entry.second.expired(); });
+  auto thread = threads[&clock].lock();
+  if (!thread) threads[&clock] = thread = std::make_shared<SpoolThread>(clock);
   return thread;
 }
 
-SpoolThread::SpoolThread() {
+SpoolThread::SpoolThread(const config::Clock& clock) : state_(std::make_shared<State>(clock)) {
   thread_ = std::thread([state = state_] { run(*state); });
   pthread_setname_np(thread_.native_handle(), "spool");
 }
@@ -54,7 +54,7 @@ void SpoolThread::remove(Served& served) {
 
 void SpoolThread::wake(Served& served) {
   {
-    const Time now = std::chrono::steady_clock::now();
+    const Time now = state_->clock.now();
     const config::MutexLock lock(state_->mutex);
     const auto found = state_->due.find(&served);
     if (found == state_->due.end() || found->second <= now) return;
@@ -72,8 +72,8 @@ void SpoolThread::run(State& state) {
       state.changed.wait(state.mutex);
       continue;
     }
-    if (next->second > std::chrono::steady_clock::now()) {
-      state.changed.wait_until(state.mutex, Time(next->second));
+    if (next->second > state.clock.now()) {
+      state.changed.wait_until(state.mutex, state.clock, Time(next->second));
       continue;
     }
     Served* const served = next->first;

@@ -13,19 +13,20 @@ namespace iotcloud::brokers::spool {
 /// A spool that the spools' thread serves.
 class Served {
  public:
-  /// The steady clock's time, so that a change of the wall clock neither delays nor hurries the work.
+  /// By the spool's clock, whose changes of the time of day neither delay nor hurry the work.
   using Time = config::Clock::Instant;
   virtual ~Served() = default;
   /// Does the work that is due; the spools' thread calls it. \return when to call it again if no wake() comes before.
   virtual std::optional<Time> serve() noexcept = 0;
 };
 
-/// The one thread that serves all spools of the process: it sends messages that wait on disk, and syncs and removes
-/// files. It ends with the last object that holds it. Thread safe.
+/// The one thread that serves all spools of the process that go by the same clock: it sends messages that wait on disk,
+/// and syncs and removes files. It ends with the last object that holds it. Thread safe.
 class SpoolThread {
  public:
-  static std::shared_ptr<SpoolThread> of_process();
-  SpoolThread();
+  static std::shared_ptr<SpoolThread> of_process(const config::Clock& clock);
+  /// \param clock outlives all spools that were added
+  explicit SpoolThread(const config::Clock& clock);
   ~SpoolThread();
   SpoolThread(const SpoolThread&) = delete;
   SpoolThread& operator=(const SpoolThread&) = delete;
@@ -38,6 +39,8 @@ class SpoolThread {
 
  private:
   struct State {
+    explicit State(const config::Clock& time) : clock(time) {}
+    const config::Clock& clock;
     config::Mutex mutex;
     config::ConditionVariable changed;
     std::map<Served*, Served::Time> due IOTCLOUD_GUARDED_BY(mutex);
@@ -46,7 +49,7 @@ class SpoolThread {
   };
   static void run(State& state);
 
-  const std::shared_ptr<State> state_ = std::make_shared<State>();
+  const std::shared_ptr<State> state_;
   std::thread thread_;
 };
 

@@ -3,6 +3,10 @@
 C++ below a source tree, and the Python below its folder tests. Waits and time spans are the steady clock's or an injected
 config::Clock's (config/mutex.h), in Python time.monotonic()'s.
 
+In the rooms INJECTED even the steady clock is not enough: everything waits and measures by the clock that it was given, so
+that a test can move it. No room asks the machine's clock for the time in the middle of a function; a class takes it as the
+default of its clock.
+
 usage: check_clocks.py ROOT     (exit status 1 and a line for each violation)
 """
 
@@ -38,6 +42,19 @@ STAMPS_OF_OTHERS = {
     "tests/topology/worker/worker_test.cc": "such a message",
 }
 
+# Rooms whose waits and time spans go by an injected clock.
+INJECTED = ("brokers/", "topology/state/")
+# Where they go by the machine's, and why.
+OF_THE_MACHINE = {
+    "brokers/kafka/client.cc": "the end of a library's client, which knows no clock of ours",
+    "brokers/spool/store/spool_store.cc": "the lock of another process, of whose end nothing tells this one",
+    "gateway/gateway_main.cc": "the daemon's health, at the end of all injection",
+    "gateway/host/control_server.cc": "the host's process, at the end of all injection",
+    "topology/endpoints/standstill_fence.cc": "the fence's own default",
+    "topology/state/redis/redis_connection.cc": "the limit of poll(), which knows no clock of ours",
+    "topology/state/redis/redis_connection.h": "as redis_connection.cc",
+}
+
 CLOCKS = re.compile(
     r"\bchrono\s*::\s*(?:system_clock|utc_clock|file_clock|high_resolution_clock)\b"
     r"|(?<![\w:])(?:system_clock|utc_clock|high_resolution_clock)\s*::"
@@ -46,6 +63,11 @@ CLOCKS = re.compile(
 WAITS = re.compile(
     r"\b(?:pthread_cond_timedwait|pthread_mutex_timedlock|pthread_rwlock_timed\w+|sem_timedwait|mtx_timedlock"
     r"|cnd_timedwait|mq_timed(?:send|receive))\s*\(")
+# A wait or a look at the time that no injected clock can change.
+NOT_INJECTED = re.compile(
+    r"\bchrono\s*::\s*steady_clock\b|(?<![\w:])steady_clock\s*::"
+    r"|(?:\.|->)\s*wait_for\s*\(|\bsleep_(?:for|until)\s*\(|\bfrom_now\s*\(")
+MACHINES_TIME = re.compile(r"\bsystem_clock\(\)\s*\.\s*now\(\)")
 # What yields the time of day in milliseconds: the clock, and a function that has it from there.
 STAMPS = r"\b(?:wall_ms|now_ms)\(\)"
 # A variable that holds it: one that is set to it, and any that is called now_ms.
@@ -78,6 +100,11 @@ def check_source(file, text):
                     yield (f"{file}:{number}: {found.group().strip()}: the time of day may be set back at any moment; wait "
                            f"and measure by std::chrono::steady_clock or config::Clock::now(), and take time stamps from "
                            f"config::Clock::wall_ms()")
+        if file not in OF_THE_MACHINE and not file.startswith("tests/"):
+            for found in (file.startswith(INJECTED) and NOT_INJECTED.search(line), MACHINES_TIME.search(line)):
+                if found:
+                    yield (f"{file}:{number}: {found.group().strip()}: no test can move that clock; take a config::Clock, "
+                           f"ask its now(), and wait with wait_until(mutex, clock, end)")
         span = spans_here.search(MOVES.sub("", line.replace("->", ".")))
         if span and file not in STAMPS_OF_OTHERS:
             yield (f"{file}:{number}: {span.group().strip()}: how long something takes is measured by "

@@ -7,16 +7,16 @@ import check_clocks
 
 
 class CheckClocks(unittest.TestCase):
-    def problems(self, line, file="brokers/a.cc"):
+    def problems(self, line, file="gateway/a.cc"):
         return list(check_clocks.check_source(file, f"#include <chrono>\n{line}\n"))
 
-    def assert_refused(self, line):
-        problems = self.problems(line)
+    def assert_refused(self, line, file="gateway/a.cc"):
+        problems = self.problems(line, file)
         self.assertEqual(len(problems), 1, line)
-        self.assertTrue(problems[0].startswith(f"brokers/a.cc:{2 + line.count(chr(10))}: "), problems[0])
+        self.assertTrue(problems[0].startswith(f"{file}:{2 + line.count(chr(10))}: "), problems[0])
 
-    def assert_allowed(self, line):
-        self.assertEqual(self.problems(line), [], line)
+    def assert_allowed(self, line, file="gateway/a.cc"):
+        self.assertEqual(self.problems(line, file), [], line)
 
     def test_waits_on_the_wall_clock(self):
         self.assert_refused("changed_.wait_until(lock, std::chrono::system_clock::now() + limit);")
@@ -25,6 +25,25 @@ class CheckClocks(unittest.TestCase):
         self.assert_refused("using Time = std::chrono::system_clock::time_point;")
         self.assert_refused("using std::chrono::system_clock;")
         self.assert_refused("const auto began = std::chrono::high_resolution_clock::now();")
+
+    def test_waits_that_an_injected_clock_does_not_move(self):
+        for line in ("changed_.wait_for(mutex_, pause);", "end->wait_for(limit);",
+                     "std::this_thread::sleep_for(std::chrono::milliseconds(5));",
+                     "const auto end = std::chrono::steady_clock::now() + limit;",
+                     "using std::chrono::steady_clock;", "const auto now = steady_clock::now();"):
+            for file in ("brokers/rabbitmq/a.cc", "topology/state/redis/a.h"):
+                self.assert_refused(line, file)
+            self.assert_allowed(line)
+            self.assert_allowed(line, "tests/brokers/a.cc")
+        for line in ("changed_.wait_until(mutex_, clock_, clock_.now() + pause);", "changed_.wait(mutex_);",
+                     "AwaitedRecord wait_for(const Condition& condition);", "auto left = remaining_steady_clock();"):
+            self.assert_allowed(line, "brokers/rabbitmq/a.cc")
+
+    def test_looks_at_the_machines_clock_where_one_is_injected(self):
+        for file in ("brokers/a.cc", "topology/state/a.cc", "master/a.cc"):
+            self.assert_refused("if (config::system_clock().now() < again_at_) return;", file)
+            self.assert_allowed("explicit Pool(const config::Clock& clock = config::system_clock());", file)
+            self.assert_allowed("clock_(options.clock != nullptr ? *options.clock : config::system_clock())", file)
 
     def test_waits_of_the_operating_system_that_take_no_other(self):
         self.assert_refused("pthread_cond_timedwait(&condition, &mutex, &end);")
@@ -75,8 +94,10 @@ class CheckClocks(unittest.TestCase):
         self.assert_allowed("/* sem_timedwait(a, b)\n std::chrono::system_clock */")
 
     def test_each_exception_says_why_and_is_for_its_file_alone(self):
-        for file, reason in {**check_clocks.TIME_OF_DAY, **check_clocks.STAMPS_OF_OTHERS}.items():
+        for file, reason in {**check_clocks.TIME_OF_DAY, **check_clocks.STAMPS_OF_OTHERS,
+                             **check_clocks.OF_THE_MACHINE}.items():
             self.assertTrue(reason, file)
+        self.assertFalse(self.problems("end.wait_for(limit);", "brokers/kafka/client.cc"))
         self.assertFalse(self.problems("std::chrono::system_clock::now();", "config/clock.cc"))
         self.assertTrue(self.problems("std::chrono::system_clock::now();", "config/other.cc"))
 

@@ -196,7 +196,7 @@ bool Group::closed() const {
 void Group::look_for_servers() {
   if ((connected_ && doubted_at_ == Instant{}) || ending()) return;
   const bool connected = client_->connected();
-  if (!connected) client_->refresh_credentials(options_);
+  if (!connected) client_->refresh_credentials(options_, clock_.now());
   if (!connected && connected_ && clock_.now() - doubted_at_ < longest_doubt) return;
   doubted_at_ = {};
   if (connected == connected_) {

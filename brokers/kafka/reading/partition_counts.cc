@@ -96,7 +96,7 @@ int PartitionCounts::ask(const std::string& topic) {
   try {
     if (!client_ || renewal_.ready(clock_.now())) client_ = renewal_.client();
     if (!client_->connected()) {
-      client_->refresh_credentials(options_);
+      client_->refresh_credentials(options_, clock_.now());
       return 0;
     }
     return client_->partitions(topic, std::min(options_.broker.rpc_timeout, longest_answer));

@@ -14,6 +14,7 @@
 #include <gtest/gtest.h>
 
 #include "iotcloud/tests/brokers/spool/spool_fixture.h"
+#include "iotcloud/tests/config/hand_clock.h"
 #include <iotcloud/brokers/embedded/server.h>
 #include <iotcloud/brokers/spool/spooled_publisher.h>
 #include <iotcloud/tests/eventually.h>
@@ -21,20 +22,6 @@
 namespace iotcloud::brokers::spool {
 
 using tests::patience;
-
-/// A clock that stands still until a test moves it. Thread safe.
-class TestClock final : public config::Clock {
- public:
-  Instant now() const override { return Instant(std::chrono::milliseconds(ms_)); }
-  std::int64_t wall_ms() const override { return wall_ahead_ms_ + ms_; }
-  void advance(std::chrono::milliseconds by) { ms_ += by.count(); }
-  /// Moves the time of day alone.
-  void set_wall_ms(std::int64_t wall_ms) { wall_ahead_ms_ = wall_ms - ms_; }
-
- private:
-  std::atomic<std::int64_t> ms_{1'000'000};
-  std::atomic<std::int64_t> wall_ahead_ms_{1'000'000};
-};
 
 /// Collects outcomes by publish number; number 0 may have several. Thread safe.
 class Outcomes {
@@ -145,7 +132,7 @@ class SpoolPublisherTest : public testing::Test {
 
   TemporaryFolder folder_;
   TestDisk disk_;
-  TestClock clock_;
+  tests::HandClock clock_;
   config::Metrics metrics_;
   Topic topic_{"exchange", "spool.test", true};
   PublisherOptions options_;

@@ -160,6 +160,7 @@ TEST_F(SpoolPublisherTest, AFullDiskIsAsAFullSpool) {
   EXPECT_EQ(publisher->publish(sample("x")), PublishStatus::would_block);
   EXPECT_GT(metric("iotcloud_spool_disk_failures_total"), 0);
   disk_.error = 0;
+  clock_.advance(std::chrono::seconds(1));
   ASSERT_TRUE(eventually([&] { return writable_ == 1; }));
   send(*publisher, 4, 6);
   ASSERT_TRUE(received_are(6));
@@ -317,11 +318,13 @@ TEST_F(SpoolPublisherTest, AFolderThatAnotherPublisherHasIsRefused) {
 
 TEST_F(SpoolPublisherTest, IntervalPutsTheFilesOnTheDiskNowAndThen) {
   server().stop();
-  spool_.interval = std::chrono::milliseconds(1);
+  spool_.interval = std::chrono::minutes(10);
   const auto publisher = this->publisher();
   send(*publisher, 1, 1);
+  ASSERT_TRUE(eventually([&] { return clock_.waiting() == 1; })) << "the thread waits by the injected clock";
   const int before = disk_.syncs;
-  ASSERT_TRUE(eventually([&] { return disk_.syncs > before || before > 1; }));
+  clock_.advance(spool_.interval);
+  ASSERT_TRUE(eventually([&] { return disk_.syncs > before; }));
 }
 
 /// What on_stored told last. Thread safe.
@@ -401,6 +404,7 @@ TEST_F(SpoolPublisherTest, AlwaysTakesNothingWhileTheDiskFails) {
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spool_disk_failures_total") > 0; }));
   EXPECT_EQ(publisher->publish(sample("3")), PublishStatus::would_block);
   disk_.sync_error = 0;
+  clock_.advance(std::chrono::seconds(1));
   ASSERT_TRUE(eventually([&] { return writable_ > 0; }));
   const int before = disk_.syncs;
   send(*publisher, 3, 3);

@@ -80,7 +80,7 @@ void RedisPool::make_sure() {
   std::uint64_t generation = 0;
   {
     const config::MutexLock lock(mutex_);
-    if (config::system_clock().now() < look_at_) return;
+    if (clock_.now() < look_at_) return;
     generation = generation_;
   }
   const std::string policy = info_of(ask({"INFO"}).text, "maxmemory_policy");
@@ -88,7 +88,7 @@ void RedisPool::make_sure() {
   {
     const config::MutexLock lock(mutex_);
     if (policy == keeps_all) {
-      if (generation == generation_) look_at_ = config::system_clock().now() + look_pause;
+      if (generation == generation_) look_at_ = clock_.now() + look_pause;
       return;
     }
     master = master_;
@@ -108,7 +108,7 @@ RedisPool::Lent RedisPool::take() {
       idle_.pop_back();
       return lent;
     }
-    if (config::system_clock().now() < again_at_) throw StateUnavailable(last_problem_);
+    if (clock_.now() < again_at_) throw StateUnavailable(last_problem_);
     generation = generation_;
   }
   return open(generation);
@@ -125,7 +125,7 @@ void RedisPool::give_up(std::uint64_t generation, std::string problem) {
   if (generation != generation_) return;
   begin_generation();
   last_problem_ = std::move(problem);
-  again_at_ = config::system_clock().now() + redis_pause;
+  again_at_ = clock_.now() + redis_pause;
 }
 
 /// Forgets all connections: those that are lent are not taken back.

@@ -19,7 +19,8 @@ namespace iotcloud::topology::internal {
 /// ms. It uses no server that may drop keys when its memory is full. Thread safe.
 class RedisPool {
  public:
-  explicit RedisPool(RedisAddress address) : address_(std::move(address)) {}
+  /// \param clock outlives the pool
+  RedisPool(RedisAddress address, const config::Clock& clock) : address_(std::move(address)), clock_(clock) {}
 
   /// Looks for the master, unless there is a connection to it. \throws StateError if a server does not let this client
   /// in or may drop keys; StateUnavailable if there is no master now
@@ -51,6 +52,7 @@ class RedisPool {
   void begin_generation() IOTCLOUD_REQUIRES(mutex_);
 
   const RedisAddress address_;
+  const config::Clock& clock_;
   config::Mutex mutex_;  ///< no thread holds it while it waits for a server
   std::vector<std::unique_ptr<RedisConnection>> idle_ IOTCLOUD_GUARDED_BY(mutex_);
   /// How often all connections were given up; those that were lent before the last time are not taken back.

@@ -68,7 +68,8 @@ std::string redis_key(const StateOwner& owner, const std::string& key) {
 
 class RedisStore final : public StateStore {
  public:
-  explicit RedisStore(const std::string& url) : address_(parse_redis_address(url)), pool_(address_) {}
+  RedisStore(const std::string& url, const config::Clock& clock)
+      : address_(parse_redis_address(url)), pool_(address_, clock) {}
 
   bool shared() const override { return true; }
 
@@ -124,8 +125,8 @@ class RedisStore final : public StateStore {
 
 }  // namespace
 
-std::shared_ptr<StateStore> open_redis(const std::string& url) {
-  return std::make_shared<RedisStore>(url);
+std::shared_ptr<StateStore> open_redis(const std::string& url, const config::Clock& clock) {
+  return std::make_shared<RedisStore>(url, clock);
 }
 
 }  // namespace iotcloud::topology::internal
