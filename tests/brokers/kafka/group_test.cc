@@ -1,11 +1,15 @@
 // Groups, partitions and offsets on a real Kafka.
+#include <algorithm>
 #include <array>
 #include <filesystem>
 #include <future>
 #include <map>
 #include <memory>
+#include <mutex>
+#include <optional>
 #include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -14,6 +18,8 @@
 
 #include "iotcloud/tests/brokers/contract_fixture.h"
 #include "iotcloud/tests/servers/private_server.h"
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::brokers {
 namespace {
@@ -270,6 +276,118 @@ TEST_F(KafkaGroup, TellsIntoHowManyPartitionsATopicIsSplitAndEachHasOneReaderTha
   EXPECT_TRUE(eventually([&] { return all[1]->active() != second->active(); }, patience)) << "one of the two has it";
   all[1].reset();
   ASSERT_TRUE(becomes_active(*second));
+}
+
+/// The machine's clock, which the test can halt, so that nobody who goes by it loses patience. Thread safe.
+class HaltingClock final : public config::Clock {
+ public:
+  Instant now() const override {
+    const std::lock_guard lock(mutex_);
+    return halted_at_ ? *halted_at_ : config::system_clock().now();
+  }
+  std::int64_t wall_ms() const override { return config::system_clock().wall_ms(); }
+  std::cv_status wait_until(config::ConditionVariable& changed, config::Mutex& mutex, Instant end) const override
+      IOTCLOUD_REQUIRES(mutex) {
+    if (now() < end) changed.wait_for(mutex, std::chrono::milliseconds(5));
+    return now() < end ? std::cv_status::no_timeout : std::cv_status::timeout;
+  }
+  void halt() {
+    const std::lock_guard lock(mutex_);
+    halted_at_ = config::system_clock().now();
+  }
+  void go_on() {
+    const std::lock_guard lock(mutex_);
+    halted_at_.reset();
+  }
+
+ private:
+  mutable std::mutex mutex_;
+  std::optional<Instant> halted_at_;  ///< guarded by mutex_
+};
+
+/// When handlers began and ended to work on messages. Thread safe.
+class Work {
+ public:
+  using Item = std::pair<std::string, std::string>;  ///< driver and body
+  void begin(const Item& item) {
+    const std::lock_guard lock(mutex_);
+    ++begun_[item];
+    for (const Item& other : at_work_) {
+      if (other.first == item.first) overlaps_.push_back(item.first);
+    }
+    at_work_.push_back(item);
+    if (item.second == "2" && !ended_.contains({item.first, "1"})) overlaps_.push_back(item.first);
+  }
+  void end(const Item& item) {
+    const std::lock_guard lock(mutex_);
+    at_work_.erase(std::find(at_work_.begin(), at_work_.end(), item));
+    ended_.insert(item);
+  }
+  std::size_t ended() const {
+    const std::lock_guard lock(mutex_);
+    return ended_.size();
+  }
+  std::map<Item, int> begun() const {
+    const std::lock_guard lock(mutex_);
+    return begun_;
+  }
+  /// Drivers whose messages two handlers worked on at the same time, or in another order than they were sent.
+  std::vector<std::string> overlaps() const {
+    const std::lock_guard lock(mutex_);
+    return overlaps_;
+  }
+
+ private:
+  mutable std::mutex mutex_;
+  std::map<Item, int> begun_;
+  std::set<Item> ended_;
+  std::vector<Item> at_work_;
+  std::vector<std::string> overlaps_;
+};
+
+TEST_F(KafkaGroup, APartitionGoesToAnotherMemberOnlyWhenItsHandlerIsDoneAndThatIsCommitted) {
+  constexpr int partitions = 2, drivers = 6;
+  HaltingClock clock;  // of the member that gives partitions away: it must not lose patience on a busy machine
+  BrokerOptions options;
+  options.urls = {server_->url()};
+  constexpr std::chrono::seconds heartbeat(8);  // nor may its session end
+  options.heartbeat = heartbeat;
+  options.properties["partitions"] = std::to_string(partitions);
+  options.clock = &clock;
+  const auto one = make_broker(options);
+  const auto other = this->broker(partitions, heartbeat);
+  Work work;
+  std::promise<void> entered, leave;
+  std::once_flag first_message;
+  const auto handler = [&](Delivery delivery) {
+    const Work::Item item(delivery.message.driver_id, std::string(delivery.message.payload.text()));
+    work.begin(item);
+    std::call_once(first_message, [&] {
+      entered.set_value();
+      leave.get_future().wait_for(patience);
+    });
+    delivery.settle(Settlement::accept);
+    work.end(item);
+  };
+  const auto first = one->subscribe(topic(), readers(), handler);
+  ASSERT_TRUE(becomes_active(*first));
+  const auto publisher = other->publisher(topic(), {});
+  for (int number = 1; number <= 2; ++number) {
+    for (int driver = 0; driver < drivers; ++driver) publisher->publish(from(driver, number));
+  }
+  ASSERT_EQ(entered.get_future().wait_for(patience), std::future_status::ready);
+  ASSERT_TRUE(publisher->drain(patience));
+  clock.halt();
+  const auto second = other->subscribe(topic(), readers(), handler);
+  // The first member is told to give partitions away, and its handler is still at work on a message of one.
+  EXPECT_TRUE(eventually([&] { return !first->active(); }, patience));
+  leave.set_value();
+  EXPECT_TRUE(eventually([&] { return work.ended() > 0; }, patience));
+  clock.go_on();
+  ASSERT_TRUE(becomes_active(*second));
+  ASSERT_TRUE(eventually([&] { return work.ended() == 2 * drivers; }, patience));
+  for (const auto& [item, times] : work.begun()) EXPECT_EQ(times, 1) << item.first << ", message " << item.second;
+  EXPECT_THAT(work.overlaps(), testing::IsEmpty());
 }
 
 TEST_F(KafkaGroup, AfterAnOrderlyEndNothingIsDoubted) {
