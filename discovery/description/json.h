@@ -21,6 +21,7 @@
 /// Texts, numbers, and lists and maps of them become JSON as they are. An id becomes its text, also in lists and as the
 /// key of a map; a duration becomes its number of milliseconds; an enumeration becomes what json_value(value) returns,
 /// and parse(json, value) reads it back; a described struct becomes an object, also in lists, maps and optional fields.
+/// A field with a form of its own (fields.h) becomes what its form makes of it, which may be JSON already.
 /// JSON is read as input from strangers: a value of another type, a number with a fraction or one that does not fit
 /// into its field is an error.
 namespace iotcloud::discovery {
@@ -100,7 +101,9 @@ void read_whole(const Json& json, Number& number) {
 
 template <typename Json, typename Value>
 void read(const Json& json, Value& value, const std::string& path) {
-  if constexpr (Described<Value>) {
+  if constexpr (std::same_as<Value, Json>) {
+    value = json;
+  } else if constexpr (Described<Value>) {
     value = from_json<Value>(json, path);
   } else if constexpr (Optional<Value>) {
     if (!json.is_null()) read(json, value.emplace(), path);
@@ -141,7 +144,9 @@ std::string to_text(const Json& json) {
 /// The JSON of one value.
 template <typename Json, typename Value>
 Json json_of(const Value& value) {
-  if constexpr (Described<Value>) {
+  if constexpr (std::same_as<Value, Json>) {
+    return value;
+  } else if constexpr (Described<Value>) {
     return to_json<Json>(value);
   } else if constexpr (detail::Optional<Value>) {
     return json_of<Json>(*value);
@@ -179,8 +184,9 @@ Json to_json(const Struct& value) {
   each_field<Struct>([&](const auto& field) {
     const auto& own = field.own(value);
     using Value = std::remove_cvref_t<decltype(own)>;
-    if ((detail::Optional<Value> || field.presence == Presence::rare) && detail::is_empty(own)) return;
-    json[field.key] = json_of<Json>(own);
+    const bool may_miss = (field.as_it_is && detail::Optional<Value>) || field.presence == Presence::rare;
+    if (may_miss && detail::is_empty(own)) return;
+    json[field.key] = json_of<Json>(field.to_travel(own));
   });
   return json;
 }
@@ -200,7 +206,7 @@ Struct from_json(const Json& json, const std::string& path) {
       return;
     }
     try {
-      detail::read(*found, field.own(value), path);
+      field.arrive(field.own(value), [&](auto& travelling) { detail::read(*found, travelling, path); });
     } catch (const typename Json::exception& error) {
       throw config::Error(what + key + ": " + error.what());
     } catch (const detail::Unfit& error) {

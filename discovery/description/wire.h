@@ -10,7 +10,7 @@
 /// Converts a described struct into the struct that Thrift generates, and back. Enumerations have the same numbers on
 /// both sides, or are the texts of description/json.h, an id is its text, a duration is its number of milliseconds
 /// (when it is optional, a number from Thrift that is not above 0 means that it is not set), and described structs may
-/// stand in lists, maps and optional fields.
+/// stand in lists, maps and optional fields. A field with a form of its own (fields.h) is converted in that form.
 namespace iotcloud::discovery {
 
 template <Described Own, typename Wire>
@@ -36,6 +36,9 @@ template <typename Value>
 concept ListOfValues = requires(Value value) {
   value.emplace_back();
 };
+
+template <typename AnyField>
+inline constexpr bool as_it_is = std::remove_cvref_t<AnyField>::as_it_is;
 
 template <typename Own, typename Wire>
 void convert(const Own& own, Wire& wire) {
@@ -103,12 +106,12 @@ void fill_wire(const Own& own, Wire& wire) {
   each_field<Own>([&](const auto& field) {
     const auto& value = field.own(own);
     field.wire(wire, [&](auto& place, bool& is_set) {
-      if constexpr (detail::OptionalValue<std::remove_cvref_t<decltype(value)>>) {
+      if constexpr (detail::as_it_is<decltype(field)> && detail::OptionalValue<std::remove_cvref_t<decltype(value)>>) {
         if (!value) return;
         detail::convert(*value, place);
       } else {
         if (field.presence == Presence::rare && detail::says_nothing(value)) return;
-        detail::convert(value, place);
+        detail::convert(field.to_travel(value), place);
       }
       is_set = true;
     });
@@ -122,8 +125,8 @@ void fill_own(Wire& wire, Own& own) {
     auto& value = field.own(own);
     field.wire(wire, [&](auto& place, [[maybe_unused]] bool is_set) {
       using Value = std::remove_cvref_t<decltype(value)>;
-      if constexpr (!detail::OptionalValue<Value>) {
-        detail::convert_back(place, value);
+      if constexpr (!detail::as_it_is<decltype(field)> || !detail::OptionalValue<Value>) {
+        field.arrive(value, [&](auto& travelling) { detail::convert_back(place, travelling); });
       } else if constexpr (detail::TimeSpan<typename Value::value_type>) {
         if (place > 0) detail::convert_back(place, value.emplace());
       } else {

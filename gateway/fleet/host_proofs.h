@@ -11,7 +11,7 @@ class HostProofs {
  public:
   /// Reads the secret, or makes one. \throws config::Error if it can be neither read nor written.
   explicit HostProofs(const std::string& state_folder);
-  /// What to show the host with this socket (protocol::HostCommand::proof).
+  /// What to show the host with this socket (protocol::ProveGateway).
   std::string of(const std::string& socket) const;
   /// What the host is told when it starts, which everybody may see: the SHA-256 of its proof.
   std::string check_of(const std::string& socket) const;

@@ -3,6 +3,8 @@
 #include <cstring>
 #include <filesystem>
 #include <optional>
+#include <utility>
+#include <variant>
 
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -95,10 +97,10 @@ void add_files(std::vector<std::string>& arguments, const processes::FileAccess&
   for (const auto& path : files.write) arguments.push_back("--writable=" + path);
 }
 
-/// What a host that this process has just connected to says first. \param silence of all these hosts together: each of
+/// The greeting of a host that this process has just connected to. \param silence of all these hosts together: each of
 /// them has had all this time to say it. \param limit the silence after which a host counts as hanging.
-std::optional<protocol::HostReport> hello_of(const processes::OwnedDescriptor& socket, processes::Silence& silence,
-                                             std::chrono::milliseconds limit) {
+std::optional<protocol::HostHello> hello_of(const processes::OwnedDescriptor& socket, processes::Silence& silence,
+                                            std::chrono::milliseconds limit) {
   processes::FrameReader frames;
   for (;;) {
     const bool too_long = silence.measure(std::chrono::steady_clock::now()) >= limit;
@@ -109,7 +111,11 @@ std::optional<protocol::HostReport> hello_of(const processes::OwnedDescriptor& s
     const auto bytes = processes::receive_some(socket);
     if (!bytes) return std::nullopt;
     frames.feed(bytes->data(), bytes->size());
-    if (const auto body = frames.next()) return protocol::decode_report(*body);
+    if (const auto body = frames.next()) {
+      auto report = protocol::decode_report(*body);
+      if (auto* hello = std::get_if<protocol::HostHello>(&report)) return std::move(*hello);
+      throw config::Error("it does not greet first");
+    }
   }
 }
 
@@ -163,7 +169,7 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
   }
   std::string problem;
   try {
-    const bool gone = !processes::send_all(found.connection, protocol::proof_frame(proofs.of(name)));
+    const bool gone = !processes::send_all(found.connection, encode(protocol::ProveGateway{proofs.of(name)}));
     const auto hello = gone ? std::nullopt : hello_of(found.connection, silence, hang_limit);
     if (!hello) {
       problem = "it does not answer";

@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <array>
 #include <cstring>
+#include <variant>
 
 #include <fmt/format.h>
 #include <poll.h>
@@ -13,8 +14,6 @@
 
 namespace iotcloud::gateway {
 
-using protocol::HostCommand;
-using protocol::HostReport;
 using std::chrono::milliseconds;
 using Steady = std::chrono::steady_clock;
 
@@ -52,7 +51,7 @@ ProcessLink::~ProcessLink() {
   waker_.wake();
 }
 
-void ProcessLink::send(const HostCommand& command) {
+void ProcessLink::send(const protocol::HostCommand& command) {
   send(encode(command));
 }
 
@@ -64,29 +63,23 @@ void ProcessLink::send(std::string frame) {
 }
 
 void ProcessLink::create(const InstanceSpec& spec) {
-  HostCommand command;
-  command.kind = HostCommand::Kind::create;
-  command.spec = spec;
-  send(command);
+  send(protocol::CreateInstance{spec});
 }
 
 void ProcessLink::activate(const discovery::InstanceId& instance) {
-  send({HostCommand::Kind::activate, instance, {}, 0});
+  send(protocol::ActivateInstance{instance});
 }
 
 void ProcessLink::deactivate(const discovery::InstanceId& instance) {
-  send({HostCommand::Kind::deactivate, instance, {}, 0});
+  send(protocol::DeactivateInstance{instance});
 }
 
 void ProcessLink::remove(const discovery::InstanceId& instance, Removal removal) {
-  send({HostCommand::Kind::remove, instance, {}, removal == Removal::undeployed ? 1 : 0});
+  send(protocol::RemoveInstance{instance, removal});
 }
 
 void ProcessLink::deliver(const PassedMessage& passed) {
-  HostCommand command;
-  command.kind = HostCommand::Kind::deliver;
-  command.passed = passed;
-  std::string bytes = encode(command);
+  std::string bytes = encode(protocol::DeliverMessage{passed});
   if (processes::fits(bytes)) {
     send(std::move(bytes));
   } else if (events_.on_answer) {
@@ -95,16 +88,11 @@ void ProcessLink::deliver(const PassedMessage& passed) {
 }
 
 void ProcessLink::answer(std::int64_t number, PassAnswer answer) {
-  HostCommand command;
-  command.kind = HostCommand::Kind::answer;
-  command.number = number;
-  command.answer = answer;
-  send(command);
+  send(protocol::AnswerMessage{number, answer});
 }
 
 void ProcessLink::renew(config::Clock::Instant confirmed) {
-  const auto at = std::chrono::duration_cast<std::chrono::nanoseconds>(confirmed.time_since_epoch());
-  send({HostCommand::Kind::renew, {}, {}, at.count()});
+  send(protocol::RenewLeases{confirmed.time_since_epoch()});
 }
 
 void ProcessLink::ask(std::int64_t number, const ChannelQuestion& question) {
@@ -118,11 +106,7 @@ void ProcessLink::ask(std::int64_t number, const ChannelQuestion& question) {
           "instance again, or update its plugin";
     }
   }
-  HostCommand command;
-  command.kind = HostCommand::Kind::ask;
-  command.number = number;
-  command.question = question;
-  std::string bytes = encode(command);
+  std::string bytes = encode(protocol::AskAboutChannel{number, question});
   if (problem.empty() && !processes::fits(bytes))
     problem = "the message is too large: 4 MB, properties included, are the most";
   if (problem.empty()) {
@@ -135,7 +119,7 @@ void ProcessLink::ask(std::int64_t number, const ChannelQuestion& question) {
 }
 
 void ProcessLink::shutdown(milliseconds limit) {
-  send({HostCommand::Kind::shutdown, {}, {}, std::max<std::int64_t>(1, limit.count())});
+  send(protocol::ShutDown{std::max(milliseconds{1}, limit)});
   const config::MutexLock lock(mutex_);
   shutting_down_ = true;
   shutdown_deadline_ = std::min(shutdown_deadline_, Steady::now() + limit);
@@ -180,7 +164,7 @@ bool ProcessLink::prove() {
   const int peer = processes::peer_process(socket_);
   if (peer != process_.id())
     throw config::Error(fmt::format("process {} has its socket, which is {}", peer, process_.id()));
-  return processes::send_all(socket_, protocol::proof_frame(proof_));
+  return processes::send_all(socket_, encode(protocol::ProveGateway{proof_}));
 }
 
 void ProcessLink::converse() {
@@ -220,46 +204,52 @@ bool ProcessLink::receive() {
   const auto bytes = processes::receive_some(socket_);
   if (!bytes) return false;
   frames_.feed(bytes->data(), bytes->size());
-  while (const auto body = frames_.next()) heard(protocol::decode_report(*body));
+  while (const auto body = frames_.next()) {
+    std::visit([this](const auto& report) { heard(report); }, protocol::decode_report(*body));
+  }
   return true;
 }
 
-void ProcessLink::heard(const HostReport& event) {
-  switch (event.kind) {
-    case HostReport::Kind::hello: {
-      const config::MutexLock lock(mutex_);
-      answers_ = event.answers;
-    }
-      for (const auto& instance : event.instances) {
-        name_after(instance.status.instance);
-        events_.on_status(instance.status);
-      }
-      break;
-    case HostReport::Kind::status:
-      name_after(event.status.instance);
-      events_.on_status(event.status);
-      break;
-    case HostReport::Kind::refused:
-      refused_ = event.reason;
-      shutdown(death_limit);
-      break;
-    case HostReport::Kind::pong:
-      if (options_.brokers) options_.brokers->put(socket_name_, event.brokers, Steady::now());
-      judge(event.stalls);
-      break;
-    case HostReport::Kind::metrics:
-      show_metrics(event.samples);
-      break;
-    case HostReport::Kind::pass:
-      if (events_.on_pass) events_.on_pass(event.passed);
-      break;
-    case HostReport::Kind::answer:
-      if (events_.on_answer) events_.on_answer(event.number, event.answer);
-      break;
-    case HostReport::Kind::told:
-      if (events_.on_told) events_.on_told(event.number, event.look);
-      break;
+void ProcessLink::heard(const protocol::HostHello& hello) {
+  {
+    const config::MutexLock lock(mutex_);
+    answers_ = hello.answers;
   }
+  for (const auto& instance : hello.instances) {
+    name_after(instance.status.instance);
+    events_.on_status(instance.status);
+  }
+}
+
+void ProcessLink::heard(const protocol::StatusChange& change) {
+  name_after(change.status.instance);
+  events_.on_status(change.status);
+}
+
+void ProcessLink::heard(const protocol::PluginRefused& refused) {
+  refused_ = refused.reason;
+  shutdown(death_limit);
+}
+
+void ProcessLink::heard(const protocol::Pong& pong) {
+  if (options_.brokers) options_.brokers->put(socket_name_, pong.brokers, Steady::now());
+  judge(pong.stalls);
+}
+
+void ProcessLink::heard(const protocol::HostSamples& metrics) {
+  show_metrics(metrics.samples);
+}
+
+void ProcessLink::heard(const protocol::PassMessage& message) {
+  if (events_.on_pass) events_.on_pass(message.passed);
+}
+
+void ProcessLink::heard(const protocol::AnswerMessage& answer) {
+  if (events_.on_answer) events_.on_answer(answer.number, answer.answer);
+}
+
+void ProcessLink::heard(const protocol::ChannelAnswer& answer) {
+  if (events_.on_told) events_.on_told(answer.number, answer.look);
 }
 
 void ProcessLink::name_after(const discovery::InstanceId& instance) {
@@ -284,7 +274,7 @@ void ProcessLink::ping() {
   const auto now = Steady::now();
   if (now < next_ping_) return;
   next_ping_ = now + options_.ping_period;
-  send({HostCommand::Kind::ping, {}, {}, 1});
+  send(protocol::Ping{1});
   ask_for_metrics(now);
   if (keep_log_) keep_log_();
   const std::string excess = vitals_.examine(now);
@@ -296,7 +286,7 @@ void ProcessLink::ping() {
 void ProcessLink::ask_for_metrics(Instant now) {
   if (!options_.metrics || now < next_metrics_) return;
   next_metrics_ = now + options_.metrics_period;
-  send({HostCommand::Kind::metrics, {}, {}, 0});
+  send(protocol::AskForSamples{});
 }
 
 void ProcessLink::show_metrics(std::vector<config::Sample> samples) {

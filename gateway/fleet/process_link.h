@@ -50,7 +50,14 @@ class ProcessLink final : public HostLink {
   void converse();
   bool send_waiting();
   bool receive();
-  void heard(const protocol::HostReport& event);
+  void heard(const protocol::HostHello& hello);
+  void heard(const protocol::PluginRefused& refused);
+  void heard(const protocol::StatusChange& change);
+  void heard(const protocol::Pong& pong);
+  void heard(const protocol::HostSamples& metrics);
+  void heard(const protocol::PassMessage& message);
+  void heard(const protocol::AnswerMessage& answer);
+  void heard(const protocol::ChannelAnswer& answer);
   void judge(const std::vector<Stall>& stalls);
   void name_after(const discovery::InstanceId& instance);
   void ping();
@@ -74,7 +81,7 @@ class ProcessLink final : public HostLink {
   config::Mutex mutex_;
   std::vector<std::string> waiting_ IOTCLOUD_GUARDED_BY(mutex_);  ///< frames to send
   bool shutting_down_ IOTCLOUD_GUARDED_BY(mutex_) = false;
-  std::optional<bool> answers_ IOTCLOUD_GUARDED_BY(mutex_);  ///< HostReport::answers; nullopt: no hello came yet
+  std::optional<bool> answers_ IOTCLOUD_GUARDED_BY(mutex_);  ///< HostHello::answers; nullopt: no hello came yet
   Instant shutdown_deadline_ IOTCLOUD_GUARDED_BY(mutex_) = Instant::max();
 
   // Used on the link's thread only.

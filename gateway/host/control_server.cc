@@ -2,7 +2,9 @@
 #include <list>
 #include <optional>
 #include <string>
+#include <type_traits>
 #include <utility>
+#include <variant>
 #include <vector>
 
 #include <fcntl.h>
@@ -19,8 +21,6 @@
 
 namespace iotcloud::gateway {
 
-using protocol::HostCommand;
-using protocol::HostReport;
 using std::chrono::milliseconds;
 
 namespace {
@@ -30,6 +30,16 @@ constexpr milliseconds stop_limit{4000};
 constexpr std::size_t most_strangers = 16;
 constexpr std::size_t longest_proof = 4096;  ///< bytes of the first frame
 constexpr milliseconds log_pause{2000};      ///< the longest pause between checks of the log's size
+
+/// Whether a command of this kind is for instances, of which a host that refused its plugin has none.
+template <typename Command>
+constexpr bool is_for_instances = true;
+template <>
+constexpr bool is_for_instances<protocol::ShutDown> = false;
+template <>
+constexpr bool is_for_instances<protocol::Ping> = false;
+template <>
+constexpr bool is_for_instances<protocol::AskForSamples> = false;
 
 }  // namespace
 
@@ -50,37 +60,26 @@ struct ControlServer::Impl {
       host_options.isolated = options.order.isolated;
       host_options.state_folder = options.folder;
       host_options.passing.pass = [this](const PassedMessage& message) -> std::optional<NotPassed> {
-        HostReport event;
-        event.kind = HostReport::Kind::pass;
-        event.passed = message;
-        std::string bytes = encode(event);
+        std::string bytes = encode(protocol::PassMessage{message});
         if (!processes::fits(bytes)) return NotPassed::too_large;
         if (!send(std::move(bytes))) return NotPassed::gateway_away;
         return std::nullopt;
       };
       host_options.passing.answer = [this](std::int64_t number, PassAnswer answer) {
-        HostReport event;
-        event.kind = HostReport::Kind::answer;
-        event.number = number;
-        event.answer = answer;
-        tell(event);
+        tell(protocol::AnswerMessage{number, answer});
       };
       const auto& order = options.order;
       auto plugin = options.exactly ? Plugin::load_exactly(options.plugin_path, order.identity.sha256, order.plugin)
                                     : Plugin::load(options.plugin_path);
-      host.emplace(host_options, std::move(plugin), [this](const InstanceStatus& status) {
-        HostReport event;
-        event.kind = HostReport::Kind::status;
-        event.status = status;
-        tell(event);
-      });
+      host.emplace(host_options, std::move(plugin),
+                   [this](const InstanceStatus& status) { tell(protocol::StatusChange{status}); });
     } catch (const std::exception& e) {
       refusal = e.what();
       host_logger.error("{}", refusal);
     }
   }
 
-  void tell(const HostReport& event);
+  void tell(const protocol::HostReport& report);
   bool send(std::string frame);
   /// A connection of somebody who has not proved to be the gateway.
   struct Stranger {
@@ -96,7 +95,19 @@ struct ControlServer::Impl {
   void greet();
   void send_waiting();
   void receive();
-  void obey(const HostCommand& command);
+  // What is for the instances comes only while there is a host.
+  void obey(const protocol::CreateInstance& command) { host->create(command.spec); }
+  void obey(const protocol::ActivateInstance& command) { host->activate(command.instance); }
+  void obey(const protocol::DeactivateInstance& command) { host->deactivate(command.instance); }
+  void obey(const protocol::RemoveInstance& command) { host->remove(command.instance, command.removal); }
+  void obey(const protocol::DeliverMessage& command) { host->deliver(command.passed); }
+  void obey(const protocol::AnswerMessage& command) { host->answered(command.number, command.answer); }
+  void obey(const protocol::RenewLeases& command) { host->renew(config::Clock::Instant(command.confirmed)); }
+  void obey(const protocol::AskAboutChannel& command);
+  void obey(const protocol::ShutDown& command) { shutdown_limit = command.limit; }
+  void obey(const protocol::Ping& command);
+  void obey(const protocol::AskForSamples&) { tell(protocol::HostSamples{config::process_metrics().collect()}); }
+  static void obey(const protocol::ProveGateway& /*again*/) {}
   void lose_gateway(const char* why);
   int stop(milliseconds limit);
 
@@ -124,8 +135,8 @@ ControlServer::~ControlServer() = default;
 
 /// Sends a report to the gateway. Any thread may call it. Without a connection the report is dropped, because the
 /// greeting to the next gateway contains the state of all instances.
-void ControlServer::Impl::tell(const HostReport& event) {
-  send(encode(event));
+void ControlServer::Impl::tell(const protocol::HostReport& report) {
+  send(encode(report));
 }
 
 /// \return whether there is a connection
@@ -168,7 +179,8 @@ void ControlServer::Impl::hear(Stranger stranger) {
 
 bool ControlServer::Impl::proves(const std::string& body) const {
   const auto command = protocol::decode_command(body);
-  return command.kind == HostCommand::Kind::prove && security::sha256_hex(command.proof) == options.proof_check;
+  const auto* shown = std::get_if<protocol::ProveGateway>(&command);
+  return shown != nullptr && security::sha256_hex(shown->proof) == options.proof_check;
 }
 
 void ControlServer::Impl::take_gateway(Stranger proved) {
@@ -189,18 +201,12 @@ void ControlServer::Impl::take_gateway(Stranger proved) {
 }
 
 void ControlServer::Impl::greet() {
-  HostReport hello;
-  hello.kind = HostReport::Kind::hello;
+  protocol::HostHello hello;
   hello.order = options.order;
   hello.answers = true;
   if (host) hello.instances = host->list();
   bool taken = processes::send_all(gateway, encode(hello));
-  if (taken && !refusal.empty()) {
-    HostReport refused;
-    refused.kind = HostReport::Kind::refused;
-    refused.reason = refusal;
-    taken = processes::send_all(gateway, encode(refused));
-  }
+  if (taken && !refusal.empty()) taken = processes::send_all(gateway, encode(protocol::PluginRefused{refusal}));
   if (!taken) lose_gateway("it went at once");
 }
 
@@ -228,7 +234,13 @@ void ControlServer::Impl::receive() {
 
 void ControlServer::Impl::obey_all() {
   try {
-    while (const auto body = frames.next()) obey(protocol::decode_command(*body));
+    while (const auto body = frames.next()) {
+      std::visit(
+          [this](const auto& command) {
+            if (host || !is_for_instances<std::remove_cvref_t<decltype(command)>>) obey(command);
+          },
+          protocol::decode_command(*body));
+    }
   } catch (const std::exception& e) {
     lose_gateway(e.what());
   }
@@ -245,67 +257,20 @@ void ControlServer::Impl::lose_gateway(const char* why) {
   if (host) host->nobody_answers();
 }
 
-void ControlServer::Impl::obey(const HostCommand& command) {
-  if (command.kind == HostCommand::Kind::shutdown) {
-    shutdown_limit = milliseconds(command.number);
-    return;
+void ControlServer::Impl::obey(const protocol::Ping& command) {
+  protocol::Pong pong;
+  pong.number = command.number;
+  if (host) {
+    pong.stalls = host->stalls();
+    pong.brokers = host->brokers();
   }
-  if (command.kind == HostCommand::Kind::ping) {
-    HostReport pong;
-    pong.kind = HostReport::Kind::pong;
-    pong.number = command.number;
-    if (host) {
-      pong.stalls = host->stalls();
-      pong.brokers = host->brokers();
-    }
-    tell(pong);
-    return;
-  }
-  if (command.kind == HostCommand::Kind::metrics) {
-    HostReport metrics;
-    metrics.kind = HostReport::Kind::metrics;
-    metrics.samples = config::process_metrics().collect();
-    tell(metrics);
-    return;
-  }
-  if (!host) return;
-  switch (command.kind) {
-    case HostCommand::Kind::create:
-      host->create(*command.spec);
-      break;
-    case HostCommand::Kind::activate:
-      host->activate(command.instance);
-      break;
-    case HostCommand::Kind::deactivate:
-      host->deactivate(command.instance);
-      break;
-    case HostCommand::Kind::remove:
-      host->remove(command.instance, command.number == 1 ? Removal::undeployed : Removal::replaced);
-      break;
-    case HostCommand::Kind::deliver:
-      host->deliver(command.passed);
-      break;
-    case HostCommand::Kind::answer:
-      host->answered(command.number, command.answer);
-      break;
-    case HostCommand::Kind::renew:
-      host->renew(config::Clock::Instant(std::chrono::nanoseconds(command.number)));
-      break;
-    case HostCommand::Kind::ask:
-      host->ask(command.question, [this, number = command.number](discovery::ChannelLook look) {
-        HostReport event;
-        event.kind = HostReport::Kind::told;
-        event.number = number;
-        event.look = std::move(look);
-        tell(event);
-      });
-      break;
-    case HostCommand::Kind::prove:
-    case HostCommand::Kind::shutdown:
-    case HostCommand::Kind::ping:
-    case HostCommand::Kind::metrics:
-      break;
-  }
+  tell(pong);
+}
+
+void ControlServer::Impl::obey(const protocol::AskAboutChannel& command) {
+  host->ask(command.question, [this, number = command.number](discovery::ChannelLook look) {
+    tell(protocol::ChannelAnswer{number, std::move(look)});
+  });
 }
 
 int ControlServer::Impl::stop(milliseconds limit) {

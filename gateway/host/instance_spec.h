@@ -5,6 +5,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/brokers/broker.h>
@@ -38,13 +39,21 @@ struct BrokerPlan {
   friend bool operator==(const BrokerPlan&, const BrokerPlan&) = default;
 };
 
+/// The form of an order as text, which is that of its node in the registry.
+struct AsOrderText {
+  static std::string to(const discovery::OrderRecord& order) { return discovery::encode(order); }
+  static void from(const std::string& text, discovery::OrderRecord& order) {
+    order = discovery::decode_order(text, "an order to a driver host");
+  }
+};
+
 /// All that a driver host needs to run one instance.
 struct InstanceSpec {
   discovery::OrderRecord order;
   std::vector<BrokerPlan> brokers;  ///< the first is the default
-  /// The encoding leaves out the order, which is encoded separately, as in the registry.
   static constexpr const char* what = "what an instance needs";
-  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(brokers, required)};
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD_IN(AsOrderText, order, required, "order", order), IOTCLOUD_FIELD(brokers, required)};
   friend bool operator==(const InstanceSpec&, const InstanceSpec&) = default;
 };
 
@@ -53,12 +62,30 @@ enum class Removal {
   replaced,    ///< the instance will be created again: here, in another host, or in a later run of the gateway
   undeployed,  ///< its order is gone
 };
+/// The number of `undeployed` in JSON (discovery/description/json.h) is 1; `replaced` is any other.
+inline int json_value(Removal removal) {
+  return removal == Removal::undeployed ? 1 : 0;
+}
+/// Reads what json_value() wrote.
+inline void parse(int number, Removal& removal) {
+  removal = number == 1 ? Removal::undeployed : Removal::replaced;
+}
 
 /// Identifies the bytes of a plugin.
 struct PluginIdentity {
   std::string sha256{};     ///< empty: not known
   std::string signed_by{};  ///< the trusted key that signed it; empty: none
   friend bool operator==(const PluginIdentity&, const PluginIdentity&) = default;
+};
+
+/// The form of a plugin's identity as a pair: its checksum, and who signed it.
+struct AsIdentityPair {
+  static std::pair<std::string, std::string> to(const PluginIdentity& plugin) {
+    return {plugin.sha256, plugin.signed_by};
+  }
+  static void from(const std::pair<std::string, std::string>& pair, PluginIdentity& plugin) {
+    plugin = {pair.first, pair.second};
+  }
 };
 
 /// The arguments with which a gateway starts a host.
@@ -69,10 +96,10 @@ struct HostOrder {
   /// The SHA-256 in the order, for an uploaded plugin; empty: the plugin is in the gateway's plugin folder.
   std::string sha256{};
   PluginIdentity identity{};  ///< the bytes found when the host was started
-  /// The encoding leaves out `identity`.
-  static constexpr const char* what = "the greeting of a driver host";
+  static constexpr const char* what = "the order for a driver host";
   static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(plugin, required), IOTCLOUD_FIELD(gateway, required),
-                                            IOTCLOUD_FIELD(isolated, required), IOTCLOUD_FIELD(sha256, usual)};
+                                            IOTCLOUD_FIELD(isolated, required), IOTCLOUD_FIELD(sha256, usual),
+                                            IOTCLOUD_FIELD_IN(AsIdentityPair, identity, usual, "found", found)};
 };
 
 /// A driver host's report about one instance.
@@ -114,6 +141,8 @@ struct Stall {
 struct HostedInstance {
   InstanceSpec spec;
   InstanceStatus status;
+  static constexpr const char* what = "an instance of a driver host";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(spec, required), IOTCLOUD_FIELD(status, required)};
 };
 
 }  // namespace iotcloud::gateway

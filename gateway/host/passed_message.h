@@ -7,6 +7,8 @@
 #include <string>
 
 #include <iotcloud/brokers/message.h>
+#include <iotcloud/discovery/description/fields.h>
+#include <iotcloud/gateway/host/byte_fields.h>
 
 namespace iotcloud::gateway {
 
@@ -16,6 +18,15 @@ struct PassedMessage {
   std::int64_t number = 0;   ///< names it in the answer; unique for the one who passes it
   std::string topic;         ///< the shared channel's wire name
   brokers::Message message;  ///< driver_id names the instance
+  static constexpr const char* what = "a passed message";
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(number, required),
+                 IOTCLOUD_FIELD_IN(AsBase64, topic, required, "topic", topic),
+                 IOTCLOUD_FIELD_IN(AsBase64, message.driver_id, required, "instance", instance),
+                 IOTCLOUD_FIELD_IN(AsBase64, message.gateway_id, required, "gateway", gateway),
+                 IOTCLOUD_FIELD_AS(message.time_ms, required, "time", time),
+                 IOTCLOUD_FIELD_IN(AsBase64Pairs, message.properties, required, "properties", properties),
+                 IOTCLOUD_FIELD_IN(AsBase64, message.payload, required, "payload", payload)};
 };
 
 /// The outcome of a passed message.
@@ -25,6 +36,10 @@ enum class PassAnswer {
   comes,    ///< no driver saw it; its instance is about to be open: pass it again a little later
   nowhere,  ///< no driver saw it; no host of this gateway runs its instance
 };
+/// The answer's word in JSON (discovery/description/json.h).
+std::string json_value(PassAnswer answer);
+/// Reads what json_value() wrote. \throws config::Error.
+void parse(const std::string& name, PassAnswer& answer);
 
 /// Why a message was not passed.
 enum class NotPassed {

@@ -1,3 +1,4 @@
+#include <chrono>
 #include <limits>
 #include <string>
 #include <vector>
@@ -21,61 +22,52 @@ std::string header(const std::string& name, const std::string& value) {
 }
 
 SeedsOfTarget host_protocol() {
-  host::HostReport hello;
-  hello.kind = host::HostReport::Kind::hello;
+  host::HostHello hello;
   hello.order.plugin = "turtle.so";
   hello.order.gateway = discovery::GatewayId("gw");
-  host::HostReport refused;
-  refused.kind = host::HostReport::Kind::refused;
-  refused.reason = "no";
-  host::HostReport passed;
-  passed.kind = host::HostReport::Kind::pass;
+  host::PassMessage passed;
   passed.passed.number = 3;
-  host::HostCommand create;
-  create.kind = host::HostCommand::Kind::create;
-  create.spec.emplace();
-  create.spec->order.instance = discovery::InstanceId("01");
-  create.spec->order.plugin = "turtle.so";
-  host::HostCommand stop;
-  stop.kind = host::HostCommand::Kind::shutdown;
-  stop.number = 500;
-  host::HostCommand deliver;
-  deliver.kind = host::HostCommand::Kind::deliver;
+  host::CreateInstance create;
+  create.spec.order.instance = discovery::InstanceId("01");
+  create.spec.order.plugin = "turtle.so";
+  host::DeliverMessage deliver;
   deliver.passed.topic = "gw.turtle.control";
   deliver.passed.message.driver_id = "01";
   deliver.passed.message.properties.set("unit", std::string("\0\xff", 2));
   deliver.passed.message.payload = brokers::Payload::copy("on");
-  host::HostCommand ask;
-  ask.kind = host::HostCommand::Kind::ask;
+  host::AskAboutChannel ask;
   ask.number = 7;
   ask.question.look.instance = discovery::InstanceId("01");
   ask.question.message = deliver.passed.message;
-  host::HostCommand answer;
-  answer.kind = host::HostCommand::Kind::answer;
-  answer.answer = gateway::PassAnswer::nowhere;
-  host::HostReport pong;
+  const host::HostCommand answer = host::AnswerMessage{7, gateway::PassAnswer::nowhere};
+  const host::HostReport answered = host::AnswerMessage{7, gateway::PassAnswer::comes};
+  host::Pong pong;
   pong.stalls.emplace_back();
   pong.brokers.emplace_back();
-  host::HostReport metrics;
-  metrics.kind = host::HostReport::Kind::metrics;
+  host::HostSamples metrics;
   for (const auto kind : {config::Sample::Kind::gauge, config::Sample::Kind::histogram}) {
     auto& sample = metrics.samples.emplace_back();
     sample.name = "iotcloud_x";
     sample.labels = {{"a", "b"}};
     sample.kind = kind;
   }
-  host::HostReport told;
-  told.kind = host::HostReport::Kind::told;
+  host::ChannelAnswer told;
   told.look.messages.emplace_back().payload = "on";
-  host::HostReport running;
-  running.kind = host::HostReport::Kind::hello;
-  running.instances.emplace_back().spec = *create.spec;
-  return {{"proof", '\x20' + host::proof_frame(std::string(64, 'a')) + encode(host::HostCommand{})},
-          {"messages", '\x20' + encode(deliver) + encode(ask) + encode(answer)},
-          {"state", '\x21' + encode(running) + encode(pong) + encode(told)},
-          {"metrics", '\x21' + encode(metrics)},
-          {"reports", '\x21' + encode(hello) + encode(refused) + encode(passed) + encode(host::HostReport{})},
-          {"commands", '\x20' + encode(create) + encode(stop) + encode(host::HostCommand{})}};
+  host::HostHello running;
+  running.instances.emplace_back().spec = create.spec;
+  const auto& instance = create.spec.order.instance;
+  return {
+      {"proof", '\x20' + encode(host::ProveGateway{std::string(64, 'a')}) + encode(host::Ping{})},
+      {"messages", '\x20' + encode(deliver) + encode(ask) + encode(answer)},
+      {"state", '\x21' + encode(running) + encode(pong) + encode(told)},
+      {"metrics", '\x21' + encode(metrics)},
+      {"reports", '\x21' + encode(hello) + encode(host::PluginRefused{"no"}) + encode(passed) + encode(host::Pong{})},
+      {"changes", '\x21' + encode(host::StatusChange{}) + encode(answered)},
+      {"commands",
+       '\x20' + encode(create) + encode(host::ShutDown{std::chrono::milliseconds(500)}) + encode(host::Ping{})},
+      {"instances", '\x20' + encode(host::ActivateInstance{instance}) + encode(host::DeactivateInstance{instance}) +
+                        encode(host::RemoveInstance{instance, gateway::Removal::undeployed}) +
+                        encode(host::RenewLeases{std::chrono::nanoseconds(7)}) + encode(host::AskForSamples{})}};
 }
 
 SeedsOfTarget starter_protocol() {

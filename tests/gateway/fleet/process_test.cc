@@ -322,12 +322,10 @@ TEST_F(ProcessTest, AGatewaysLastCommandsDoNotKeepAHostFromTheNextGateway) {
   // While the host stands still, one gateway sends a command and ends, and the next one connects: the host finds all
   // of it at once.
   auto first = processes::connect_in(state_, socket);
-  const std::string proof = protocol::proof_frame(HostProofs(state_).of(socket));
+  const std::string proof = encode(protocol::ProveGateway{HostProofs(state_).of(socket)});
   ASSERT_TRUE(first && processes::send_all(first, proof) && hears(first));
   kill(process, SIGSTOP);
-  protocol::HostCommand ping;
-  ping.kind = protocol::HostCommand::Kind::ping;
-  ASSERT_TRUE(processes::send_all(first, encode(ping)));
+  ASSERT_TRUE(processes::send_all(first, encode(protocol::Ping{})));
   first.reset();
   const auto second = processes::connect_in(state_, socket);
   ASSERT_TRUE(second && processes::send_all(second, proof));
@@ -349,12 +347,7 @@ class StrangerAtAHostsSocket : public ProcessTest {
     }
     return processes::receive_some(connection).has_value();
   }
-  static std::string shutdown() {
-    protocol::HostCommand command;
-    command.kind = protocol::HostCommand::Kind::shutdown;
-    command.number = 1;
-    return encode(command);
-  }
+  static std::string shutdown() { return encode(protocol::ShutDown{1ms}); }
   const int process_;
   const std::string socket_;
 };
@@ -362,10 +355,10 @@ class StrangerAtAHostsSocket : public ProcessTest {
 TEST_F(StrangerAtAHostsSocket, IsCutOffAndChangesNothing) {
   ASSERT_GT(process_, 0);
   const HostProofs another(plugins_);
-  for (const auto& said : {shutdown(), protocol::proof_frame("") + shutdown(),
-                           protocol::proof_frame(HostProofs(state_).of("another.sock")) + shutdown(),
-                           protocol::proof_frame(HostProofs(state_).check_of(socket_)) + shutdown(),
-                           protocol::proof_frame(another.of(socket_)) + shutdown(), std::string(8000, '\0'),
+  for (const auto& said : {shutdown(), encode(protocol::ProveGateway{""}) + shutdown(),
+                           encode(protocol::ProveGateway{HostProofs(state_).of("another.sock")}) + shutdown(),
+                           encode(protocol::ProveGateway{HostProofs(state_).check_of(socket_)}) + shutdown(),
+                           encode(protocol::ProveGateway{another.of(socket_)}) + shutdown(), std::string(8000, '\0'),
                            std::string("\x00\x10\x00\x00", 4) + std::string(8000, 'x')}) {
     EXPECT_FALSE(is_answered(said)) << said.substr(0, 200);
   }
@@ -395,7 +388,7 @@ TEST_F(StrangerAtAHostsSocket, DoesNotKeepTheGatewayOutBySayingNothing) {
 TEST_F(StrangerAtAHostsSocket, OfAnotherUserIsCutOffEvenWithTheProof) {
   if (geteuid() != 0) GTEST_SKIP() << "only root can act as another user";
   ASSERT_GT(process_, 0);
-  const std::string said = protocol::proof_frame(HostProofs(state_).of(socket_)) + shutdown();
+  const std::string said = encode(protocol::ProveGateway{HostProofs(state_).of(socket_)}) + shutdown();
   for (const auto& folder : {folder_, state_}) chmod(folder.c_str(), 0777);
   chmod((state_ / socket_).c_str(), 0777);
   std::thread([&] {
