@@ -329,12 +329,12 @@ TEST_F(KafkaPartitions, OfDifferentNumbersAreNoTroubleOfAChannelThatIsNotReadFor
 
 TEST(PartitionAgreementTest, NamesTheChannelsThatDifferAndTellsOfEachChange) {
   PartitionAgreement agreement;
-  const PartitionAgreement::Source source{"t", "d"_driver, "g"_gateway};
+  const PartitionAgreement::Source source{"t", "d"_driver, "g"_gateway, "i"_instance};
   int changes = 0;
   const int listener = agreement.listen([&] { ++changes; });
   agreement.set(source, "up", 4);
   agreement.set(source, "side", 4);
-  agreement.set({"t", "d"_driver, "other"_gateway}, "side", 2);
+  agreement.set({"t", "d"_driver, "g"_gateway, "other"_instance}, "side", 2);
   EXPECT_THAT(agreement.difference(source), IsEmpty());
   EXPECT_EQ(changes, 0);
   agreement.set(source, "side", 2);

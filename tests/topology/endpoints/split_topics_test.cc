@@ -100,7 +100,9 @@ class SplitTopicsTest : public testing::Test {
     EXPECT_TRUE(eventually([&] { return changes_ >= expected_; })) << changes_;
     return topics.take_changes();
   }
-  PartitionAgreement::Source source() const { return {"t", "d"_driver, "g"_gateway}; }
+  static PartitionAgreement::Source source(const std::string& instance = "i1") {
+    return {"t", "d"_driver, "g"_gateway, discovery::InstanceId(instance)};
+  }
 
   const std::unique_ptr<discovery::Registry> registry_;
   const std::shared_ptr<PartitionAgreement> agreement_ = std::make_shared<PartitionAgreement>();
@@ -179,9 +181,41 @@ TEST_F(SplitTopicsTest, WhatIsNotReadAnyMoreNeedNotAgree) {
   next_changes(*topics);
   agreement_->set(source(), "side", 2);
   topics->forget(channel("i2"), topic("y"));
-  EXPECT_THAT(agreement_->difference(source()), HasSubstr("4 partitions")) << "the gateway's other topic is read";
+  EXPECT_THAT(agreement_->difference(source()), HasSubstr("4 partitions")) << "the other instance's topic is read";
   topics->forget(channel("i1"), topic("x"));
   EXPECT_THAT(agreement_->difference(source()), IsEmpty());
+}
+
+TEST_F(SplitTopicsTest, TwoTopicsOfOneDriverAreNotTakenForEachOther) {
+  // One instance was moved to a topic of its own, with fewer partitions, and so was its other channel.
+  const auto topics = spout();
+  topics->follow(channel("i1"), topic("x"));
+  topics->follow(channel("i2"), topic("y", "another kafka"));
+  broker_->tell("x", 4);
+  next_changes(*topics);
+  broker_->tell("y", 2);
+  next_changes(*topics);
+  agreement_->set(source("i1"), "side", 4);  // as another spout of the worker does
+  agreement_->set(source("i2"), "side", 2);
+  EXPECT_THAT(topics->difference(channel("i1")), IsEmpty());
+  EXPECT_THAT(topics->difference(channel("i2")), IsEmpty());
+
+  agreement_->set(source("i1"), "side", 2);
+  EXPECT_THAT(topics->difference(channel("i1")), HasSubstr("\"side\" and \"up\" have 2 and 4 partitions"));
+  EXPECT_THAT(topics->difference(channel("i2")), IsEmpty());
+  topics->forget(channel("i1"), topic("x"));
+  EXPECT_THAT(topics->difference(channel("i1")), IsEmpty()) << "that topic is not read any more";
+}
+
+TEST_F(SplitTopicsTest, AnInstanceThatComesToAKnownTopicIsJudgedAtOnce) {
+  const auto topics = spout();
+  topics->follow(channel("i1"), topic("x"));
+  broker_->tell("x", 4);
+  next_changes(*topics);
+  agreement_->set(source("i2"), "side", 2);
+  EXPECT_THAT(topics->difference(channel("i2")), IsEmpty());
+  EXPECT_EQ(topics->follow(channel("i2"), topic("x")), 4);
+  EXPECT_THAT(topics->difference(channel("i2")), HasSubstr("have 2 and 4 partitions"));
 }
 
 TEST_F(SplitTopicsTest, AtItsEndItFollowsNothingAndTellsOfNothing) {

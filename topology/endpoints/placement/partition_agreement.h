@@ -10,22 +10,24 @@
 
 namespace iotcloud::topology {
 
-/// Whether the channels of a driver on a gateway that a worker reads are split into equally many partitions. If they
-/// are not, a driver instance's messages on two channels are in partitions of different numbers, and would not meet in
-/// one worker. One object for each worker. Thread safe.
+/// Whether the channels of a driver instance that a worker reads are split into equally many partitions. If they are
+/// not, the instance's messages on two channels are in partitions of different numbers, and would not meet in one
+/// worker. Instances of one driver may have topics of their own, on another broker for example, so each is judged
+/// alone. One object for each worker. Thread safe.
 class PartitionAgreement {
  public:
-  /// A driver on a gateway, as a group of readers sees it.
+  /// An instance of a driver on a gateway, as a group of readers sees it.
   struct Source {
     std::string group;
     discovery::DriverName driver;
     discovery::GatewayId gateway;
+    discovery::InstanceId instance;
     friend bool operator<(const Source& a, const Source& b) {
-      return std::tie(a.group, a.driver, a.gateway) < std::tie(b.group, b.driver, b.gateway);
+      return std::tie(a.group, a.driver, a.gateway, a.instance) < std::tie(b.group, b.driver, b.gateway, b.instance);
     }
   };
 
-  /// Says into how many partitions a channel is split; 0: it is not read any more. Calls all listeners if
+  /// Says into how many partitions the topic of a channel is split; 0: it is not read any more. Calls all listeners if
   /// difference() changes.
   void set(const Source& source, const std::string& channel, int count) IOTCLOUD_EXCLUDES(mutex_);
   /// In what the channels differ, and how to mend it; empty: they agree.

@@ -1,4 +1,3 @@
-#include <algorithm>
 #include <chrono>
 
 #include <iotcloud/config/error.h>
@@ -42,21 +41,17 @@ std::optional<int> SplitTopics::follow(const discovery::ChannelRecord& channel, 
       endpoints_logger.debug("{}: {}", options_.component, error.what());
     }
   }
-  return topic.watch ? std::optional<int>(topic.count) : std::nullopt;
+  if (!topic.watch) return std::nullopt;
+  if (topic.told) options_.agreement->set(source_of(channel), channel.name, *topic.told);
+  return topic.told.value_or(1);
 }
 
 void SplitTopics::forget(const discovery::ChannelRecord& channel, const Key& key) {
   const auto found = topics_.find(key);
   if (found == topics_.end()) return;
-  found->second.channels.erase(channel.instance);
-  if (!found->second.channels.empty()) return;
-  topics_.erase(found);
-  const auto is_of_the_gateway = [&](const auto& user) { return user.second.gateway == channel.gateway; };
-  const bool still_used = std::any_of(topics_.begin(), topics_.end(), [&](const auto& entry) {
-    const auto& channels = entry.second.channels;
-    return std::any_of(channels.begin(), channels.end(), is_of_the_gateway);
-  });
-  if (!still_used) options_.agreement->set(source_of(channel), channel.name, 0);
+  if (found->second.channels.erase(channel.instance) == 0) return;
+  options_.agreement->set(source_of(channel), channel.name, 0);
+  if (found->second.channels.empty()) topics_.erase(found);
 }
 
 std::string SplitTopics::difference(const discovery::ChannelRecord& channel) const {
@@ -89,18 +84,18 @@ SplitTopics::Changes SplitTopics::take_changes() {
     const auto found = topics_.find(key);
     if (found == topics_.end()) continue;
     SplitTopic& topic = found->second;
-    if (std::exchange(topic.count, count) != count) {
-      for (const auto& [instance, channel] : topic.channels) changes.instances.insert(instance);
-    }
+    const bool changed = std::exchange(topic.told, count).value_or(1) != count;
     endpoints_logger.debug("{}: topic {} has {} partitions", options_.component, key.second.name, count);
-    const auto& channel = topic.channels.begin()->second;
-    options_.agreement->set(source_of(channel), channel.name, count);
+    for (const auto& [instance, channel] : topic.channels) {
+      if (changed) changes.instances.insert(instance);
+      options_.agreement->set(source_of(channel), channel.name, count);
+    }
   }
   return changes;
 }
 
 PartitionAgreement::Source SplitTopics::source_of(const discovery::ChannelRecord& channel) const {
-  return {options_.group, channel.driver, channel.gateway};
+  return {options_.group, channel.driver, channel.gateway, channel.instance};
 }
 
 }  // namespace iotcloud::topology

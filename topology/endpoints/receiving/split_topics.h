@@ -34,7 +34,7 @@ class SplitTopics {
   };
   /// The channels that the spout has to place anew.
   struct Changes {
-    bool all = false;  ///< all shared channels: the channels of a driver on a gateway agree no longer, or again
+    bool all = false;  ///< all shared channels: the channels of a driver instance agree no longer, or again
     std::set<discovery::InstanceId> instances;  ///< the topics of their channels have another number of partitions now
   };
 
@@ -54,7 +54,7 @@ class SplitTopics {
   std::optional<int> follow(const discovery::ChannelRecord& channel, const Key& topic) IOTCLOUD_EXCLUDES(mutex_);
   /// The channel does not use the topic any more.
   void forget(const discovery::ChannelRecord& channel, const Key& topic);
-  /// In what the channels of this channel's driver on its gateway differ, and how to mend it; empty: they agree.
+  /// In what the channels of this channel's driver instance differ, and how to mend it; empty: they agree.
   std::string difference(const discovery::ChannelRecord& channel) const;
   /// Takes over the numbers of partitions that brokers have told since the last call.
   Changes take_changes() IOTCLOUD_EXCLUDES(mutex_);
@@ -63,7 +63,7 @@ class SplitTopics {
   struct SplitTopic {
     std::shared_ptr<brokers::Broker> broker;         ///< must outlive the watch; null: it cannot be used
     std::unique_ptr<brokers::PartitionWatch> watch;  ///< null: this broker does not split topics
-    int count = 1;                                   ///< number of partitions; 1 until it is known
+    std::optional<int> told;                         ///< number of partitions; nullopt: not known yet
     std::map<discovery::InstanceId, discovery::ChannelRecord> channels;  ///< those that use it
   };
 

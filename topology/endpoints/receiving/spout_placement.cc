@@ -281,7 +281,11 @@ bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
     forget_difference(channel.gateway);
   } else if (channel.shared) {
     problem = split_topics_->difference(channel);
-    show_difference(channel.gateway, problem);
+    if (problem.empty()) {
+      forget_difference(channel.gateway);
+    } else {
+      show_difference(channel.gateway, problem);
+    }
   }
   if (problem.empty()) return true;
   if (complained_.insert(channel.gateway + problem).second) {
@@ -306,15 +310,17 @@ void SpoutPlacement::show_difference(const discovery::GatewayId& gateway, const 
   services_->troubles->set(component_, "partitions of " + gateway.str(), text);
 }
 
-/// A channel of this gateway is gone, or cannot be read for another reason.
+/// A channel of this gateway agrees, is gone, or cannot be read for another reason: is there another one that differs?
 void SpoutPlacement::forget_difference(const discovery::GatewayId& gateway) {
   if (!differences_.contains(gateway)) return;
-  const bool has_others = std::any_of(channels_.begin(), channels_.end(), [&](const auto& entry) {
-    const discovery::ChannelRecord& channel = entry.second;
-    return channel.shared && channel.gateway == gateway &&
-           misfit(channel, discovery::Direction::out, endpoint_.broker).empty();
-  });
-  if (!has_others) show_difference(gateway, {});
+  for (const auto& [instance, channel] : channels_) {
+    if (!channel.shared || channel.gateway != gateway) continue;
+    if (!misfit(channel, discovery::Direction::out, endpoint_.broker).empty()) continue;
+    if (const std::string other = split_topics_->difference(channel); !other.empty()) {
+      return show_difference(gateway, other);
+    }
+  }
+  show_difference(gateway, {});
 }
 
 void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
