@@ -16,7 +16,7 @@ namespace iotcloud::brokers::client {
 
 using Instant = config::Clock::Instant;
 
-struct Lane;
+struct PublishLane;
 
 /// A message that publish() has accepted and that has no outcome yet.
 struct AcceptedMessage {
@@ -94,11 +94,11 @@ class Outbox {
   void close(const std::vector<std::uint64_t>& under_way_numbers);
 
   bool closed = false;
-  bool ready = false;        ///< the transport can send to the topic now: exchange and queue are declared where needed
-  Lane* lane = nullptr;      ///< the lane in which it takes turns with other publishers; set once, when it is added
-  bool in_runnable = false;  ///< listed in its lane
-  bool in_report = false;    ///< listed in the core's list of publishers with something to report
-  std::thread::id reporter;  ///< the thread that runs this publisher's callbacks; default value: none does
+  bool ready = false;  ///< the transport can send to the topic now: exchange and queue are declared where needed
+  PublishLane* lane = nullptr;  ///< the lane in which it takes turns with other publishers; set once, when it is added
+  bool in_runnable = false;     ///< listed in its lane
+  bool in_report = false;       ///< listed in the core's list of publishers with something to report
+  std::thread::id reporter;     ///< the thread that runs this publisher's callbacks; default value: none does
 
   std::size_t pending() const { return pending_; }
   bool has_report() const { return !events_.empty() || writable_due_; }

@@ -151,7 +151,7 @@ PublishCore::Turn::~Turn() {
 
 void PublishCore::send_waiting(const Turn& /*turn*/, std::size_t most) {
   for (std::size_t left = lanes_.size(); left > 0 && !lanes_.empty(); --left) {
-    Lane& lane = *lanes_.front();
+    PublishLane& lane = *lanes_.front();
     send_lane(lane, most);
     lanes_.pop_front();
     lane.listed = !lane.runnable.empty();
@@ -159,7 +159,7 @@ void PublishCore::send_waiting(const Turn& /*turn*/, std::size_t most) {
   }
 }
 
-void PublishCore::send_lane(Lane& lane, std::size_t most) {
+void PublishCore::send_lane(PublishLane& lane, std::size_t most) {
   using Room = PublishTransport::Room;
   bool sent = false;
   while (most > 0 && !lane.runnable.empty() && (one_by_one_ == 0 || under_way_.empty())) {
@@ -198,7 +198,7 @@ void PublishCore::open(const std::shared_ptr<Outbox>& outbox) {
 void PublishCore::make_runnable(const std::shared_ptr<Outbox>& outbox) {
   if (outbox->in_runnable || outbox->idle() || !outbox->may_send()) return;
   outbox->in_runnable = true;
-  Lane& lane = *outbox->lane;
+  PublishLane& lane = *outbox->lane;
   lane.runnable.push_back(outbox);
   if (!std::exchange(lane.listed, true)) lanes_.push_back(&lane);
 }
@@ -302,7 +302,7 @@ void PublishCore::connection_lost(bool one_by_one) {
     ++again;
   }
   one_by_one_ = one_by_one ? again : 0;
-  for (Lane* const lane : lanes_) {
+  for (PublishLane* const lane : lanes_) {
     lane->runnable.clear();
     lane->listed = false;
   }

@@ -74,7 +74,7 @@ class PublishCore {
   /// Whether some lane has a message whose publisher may send it now.
   bool has_waiting() const IOTCLOUD_REQUIRES(mutex);
   /// The lanes that have such a message.
-  const std::deque<Lane*>& waiting_lanes() const IOTCLOUD_REQUIRES(mutex) { return lanes_; }
+  const std::deque<PublishLane*>& waiting_lanes() const IOTCLOUD_REQUIRES(mutex) { return lanes_; }
   /// Messages without an answer, in the order in which they were sent.
   const std::list<UnderWay>& under_way() const IOTCLOUD_REQUIRES(mutex) { return under_way_; }
   const std::vector<std::shared_ptr<Outbox>>& outboxes() const IOTCLOUD_REQUIRES(mutex) { return outboxes_; }
@@ -126,7 +126,7 @@ class PublishCore {
       IOTCLOUD_REQUIRES(mutex);
   /// \return whether the transport has the message; otherwise it is still in `accepted`
   bool send_alone(const std::shared_ptr<Outbox>& outbox, AcceptedMessage& accepted) IOTCLOUD_REQUIRES(mutex);
-  void send_lane(Lane& lane, std::size_t most) IOTCLOUD_REQUIRES(mutex);
+  void send_lane(PublishLane& lane, std::size_t most) IOTCLOUD_REQUIRES(mutex);
   UnderWay& begin(std::shared_ptr<Outbox> outbox, AcceptedMessage&& accepted) IOTCLOUD_REQUIRES(mutex);
   /// Ends a message under way. \return its publisher, and its message in `accepted`
   std::shared_ptr<Outbox> end(UnderWay& message, AcceptedMessage& accepted) IOTCLOUD_REQUIRES(mutex);
@@ -150,8 +150,8 @@ class PublishCore {
   bool left_for_turn_ IOTCLOUD_GUARDED_BY(mutex) = false;  ///< a message waits for the thread that has the Turn
   std::uint64_t turns_ IOTCLOUD_GUARDED_BY(mutex) = 0;
   std::vector<std::shared_ptr<Outbox>> outboxes_ IOTCLOUD_GUARDED_BY(mutex);
-  Lane lane_ IOTCLOUD_GUARDED_BY(mutex);  ///< the lane of publishers to which the transport assigns none
-  std::deque<Lane*> lanes_ IOTCLOUD_GUARDED_BY(mutex);
+  PublishLane lane_ IOTCLOUD_GUARDED_BY(mutex);  ///< the lane of publishers to which the transport assigns none
+  std::deque<PublishLane*> lanes_ IOTCLOUD_GUARDED_BY(mutex);
   std::list<UnderWay> under_way_ IOTCLOUD_GUARDED_BY(mutex);
   std::list<UnderWay> spare_ IOTCLOUD_GUARDED_BY(mutex);  ///< unused nodes, so that a message needs no allocation
   /// How many messages must still be sent alone, because one of them made the server close a connection or channel.

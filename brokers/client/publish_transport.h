@@ -14,7 +14,7 @@ namespace iotcloud::brokers::client {
 
 /// A queue of publishers that share a resource of the transport: those that have something to send take turns. RabbitMQ
 /// and ActiveMQ have one lane for each connection, Kafka one for each topic.
-struct Lane {
+struct PublishLane {
   std::deque<std::shared_ptr<Outbox>> runnable;
   bool listed = false;  ///< listed in the core's list of lanes with something to send
 };

@@ -15,7 +15,7 @@ const config::Logger logger{"brokers.embedded"};
 
 }  // namespace
 
-HandlerConsumer::HandlerConsumer(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> owner,
+HandlerConsumer::HandlerConsumer(std::shared_ptr<ServerState> server, std::shared_ptr<EmbeddedConnection> owner,
                                  Handler handler_to_run)
     : handler(std::move(handler_to_run)), server_(std::move(server)), owner_(std::move(owner)) {}
 
@@ -29,10 +29,10 @@ void HandlerConsumer::settle(std::uint64_t tag, Settlement settlement) noexcept 
   if (queue) server_->make_ready(*queue, wake);
 }
 
-Connection::Connection(std::shared_ptr<ServerState> of, const config::Clock& time, Meters counters)
+EmbeddedConnection::EmbeddedConnection(std::shared_ptr<ServerState> of, const config::Clock& time, Meters counters)
     : server(std::move(of)), clock(time), meters(std::move(counters)) {}
 
-void Connection::open() {
+void EmbeddedConnection::open() {
   {
     const config::MutexLock lock(server->mutex);
     server->join(*this);
@@ -41,7 +41,7 @@ void Connection::open() {
   pthread_setname_np(thread_.native_handle(), "embedded-reader");
 }
 
-void Connection::close() {
+void EmbeddedConnection::close() {
   {
     const config::MutexLock lock(server->mutex);
     closing_ = true;
@@ -55,7 +55,7 @@ void Connection::close() {
   to_report.clear();
 }
 
-void Connection::wake() {
+void EmbeddedConnection::wake() {
   {
     const config::MutexLock lock(sleep_mutex_);
     woken_ = true;
@@ -63,7 +63,7 @@ void Connection::wake() {
   sleep_over_.notify_one();
 }
 
-void Connection::sleep(std::optional<Instant> until) {
+void EmbeddedConnection::sleep(std::optional<Instant> until) {
   const config::MutexLock lock(sleep_mutex_);
   const auto over = [this]() IOTCLOUD_REQUIRES(sleep_mutex_) { return woken_; };
   if (until) {
@@ -74,7 +74,7 @@ void Connection::sleep(std::optional<Instant> until) {
   woken_ = false;
 }
 
-std::optional<Instant> Connection::next_deadline(Instant now) {
+std::optional<Instant> EmbeddedConnection::next_deadline(Instant now) {
   std::optional<Instant> next;
   for (ServerPublisher* publisher : timed) {
     WakeList unneeded;  // expire() wants one; this thread is awake already
@@ -88,7 +88,7 @@ std::optional<Instant> Connection::next_deadline(Instant now) {
   return next;
 }
 
-void Connection::run() {
+void EmbeddedConnection::run() {
   config::UniqueLock lock(server->mutex);
   while (!closing_) {
     if (deliver_next()) continue;
@@ -106,13 +106,13 @@ void Connection::run() {
   }
 }
 
-bool Connection::deliver_next() {
+bool EmbeddedConnection::deliver_next() {
   if (ready.empty()) return false;
   const std::shared_ptr<HandlerConsumer> reader = std::static_pointer_cast<HandlerConsumer>(std::move(ready.front()));
   ready.pop_front();
   reader->in_ready = false;
   if (!reader->can_take()) return true;
-  std::optional<Stored> stored;
+  std::optional<StoredMessage> stored;
   std::size_t conflated = 0;
   {
     WakeList wake;
@@ -139,7 +139,8 @@ bool Connection::deliver_next() {
   return true;
 }
 
-void Connection::run_handler(const std::shared_ptr<HandlerConsumer>& reader, Stored stored, std::uint64_t tag) {
+void EmbeddedConnection::run_handler(const std::shared_ptr<HandlerConsumer>& reader, StoredMessage stored,
+                                     std::uint64_t tag) {
   std::shared_ptr<Settler> settler;
   if (!reader->options.automatic_ack) settler = reader;
   try {
@@ -153,8 +154,8 @@ void Connection::run_handler(const std::shared_ptr<HandlerConsumer>& reader, Sto
   }
 }
 
-void Connection::call_back(const ServerPublisher& publisher, const std::vector<ServerPublisher::Event>& events,
-                           bool writable) {
+void EmbeddedConnection::call_back(const ServerPublisher& publisher, const std::vector<ServerPublisher::Event>& events,
+                                   bool writable) {
   try {
     for (const auto& event : events) publisher.options.on_outcome(event.number, event.outcome, event.reason);
     if (writable && publisher.options.on_writable) publisher.options.on_writable();
@@ -165,7 +166,7 @@ void Connection::call_back(const ServerPublisher& publisher, const std::vector<S
   }
 }
 
-void Connection::report(const std::shared_ptr<ServerPublisher>& publisher) {
+void EmbeddedConnection::report(const std::shared_ptr<ServerPublisher>& publisher) {
   while (publisher->reporting) changed.wait(server->mutex);
   if (std::exchange(publisher->in_report, false)) std::erase(to_report, publisher);
   const std::vector<ServerPublisher::Event> events = std::exchange(publisher->events, {});

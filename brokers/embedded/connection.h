@@ -15,22 +15,23 @@ namespace iotcloud::brokers::embedded {
 /// A subscription: a consumer of the server with its handler, which also settles the handler's deliveries.
 class HandlerConsumer final : public Settler, public Consumer, public std::enable_shared_from_this<HandlerConsumer> {
  public:
-  HandlerConsumer(std::shared_ptr<ServerState> server, std::shared_ptr<Connection> owner, Handler handler_to_run);
+  HandlerConsumer(std::shared_ptr<ServerState> server, std::shared_ptr<EmbeddedConnection> owner,
+                  Handler handler_to_run);
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
 
   const Handler handler;
 
  private:
   const std::shared_ptr<ServerState> server_;
-  const std::shared_ptr<Connection> owner_;
+  const std::shared_ptr<EmbeddedConnection> owner_;
 };
 
 /// A broker object's connection to the server, with the one thread that runs its handlers and reports its outcomes.
-class Connection : public std::enable_shared_from_this<Connection> {
+class EmbeddedConnection : public std::enable_shared_from_this<EmbeddedConnection> {
  public:
-  Connection(std::shared_ptr<ServerState> server, const config::Clock& clock, Meters meters);
+  EmbeddedConnection(std::shared_ptr<ServerState> server, const config::Clock& clock, Meters meters);
   /// \pre close() was called.
-  ~Connection() = default;
+  ~EmbeddedConnection() = default;
   /// Joins the server and starts the thread.
   void open();
   /// Joins the thread and leaves the server.
@@ -65,7 +66,7 @@ class Connection : public std::enable_shared_from_this<Connection> {
   bool deliver_next() IOTCLOUD_REQUIRES(server->mutex);
   static void call_back(const ServerPublisher& publisher, const std::vector<ServerPublisher::Event>& events,
                         bool writable);
-  void run_handler(const std::shared_ptr<HandlerConsumer>& reader, Stored stored, std::uint64_t tag);
+  void run_handler(const std::shared_ptr<HandlerConsumer>& reader, StoredMessage stored, std::uint64_t tag);
   std::optional<Instant> next_deadline(Instant now) IOTCLOUD_REQUIRES(server->mutex);
   void sleep(std::optional<Instant> until);
 

@@ -13,7 +13,7 @@ namespace {
 
 class EmbeddedPublisher final : public Publisher {
  public:
-  EmbeddedPublisher(std::shared_ptr<Connection> connection, const Topic& topic, const PublisherOptions& options)
+  EmbeddedPublisher(std::shared_ptr<EmbeddedConnection> connection, const Topic& topic, const PublisherOptions& options)
       : connection_(std::move(connection)), server_(*connection_->server) {
     publisher_->topic = topic;
     publisher_->options = options;
@@ -121,15 +121,15 @@ class EmbeddedPublisher final : public Publisher {
     return {PublishStatus::accepted, publisher_->last_number};
   }
 
-  const std::shared_ptr<Connection> connection_;
+  const std::shared_ptr<EmbeddedConnection> connection_;
   ServerState& server_;
   const std::shared_ptr<ServerPublisher> publisher_ = std::make_shared<ServerPublisher>();
 };
 
 class EmbeddedSubscription final : public Subscription {
  public:
-  EmbeddedSubscription(std::shared_ptr<Connection> connection, const Topic& topic, const SubscriptionOptions& options,
-                       Handler handler)
+  EmbeddedSubscription(std::shared_ptr<EmbeddedConnection> connection, const Topic& topic,
+                       const SubscriptionOptions& options, Handler handler)
       : connection_(std::move(connection)),
         server_(*connection_->server),
         reader_(std::make_shared<HandlerConsumer>(connection_->server, connection_, std::move(handler))) {
@@ -189,7 +189,7 @@ class EmbeddedSubscription final : public Subscription {
   }
 
  private:
-  const std::shared_ptr<Connection> connection_;
+  const std::shared_ptr<EmbeddedConnection> connection_;
   ServerState& server_;
   const std::shared_ptr<HandlerConsumer> reader_;
 };
@@ -198,9 +198,9 @@ class EmbeddedBroker final : public Broker {
  public:
   EmbeddedBroker(const BrokerOptions& options, const std::string& name)
       : url_(options.urls.front()),
-        connection_(std::make_shared<Connection>(Server::named(name).state(),
-                                                 options.clock != nullptr ? *options.clock : config::system_clock(),
-                                                 Meters(options.metrics, "embedded"))) {
+        connection_(std::make_shared<EmbeddedConnection>(
+            Server::named(name).state(), options.clock != nullptr ? *options.clock : config::system_clock(),
+            Meters(options.metrics, "embedded"))) {
     connection_->open();
   }
   ~EmbeddedBroker() override { connection_->close(); }
@@ -225,7 +225,7 @@ class EmbeddedBroker final : public Broker {
 
  private:
   const std::string url_;
-  const std::shared_ptr<Connection> connection_;
+  const std::shared_ptr<EmbeddedConnection> connection_;
   DeadLetters dead_letters_{*this};  ///< destroyed before the connection, with its publishers
 };
 

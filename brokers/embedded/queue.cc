@@ -6,7 +6,7 @@ namespace iotcloud::brokers::embedded {
 namespace {
 
 /// How many bytes of queue_bytes_limit a message counts for: its payload and an estimate for the rest.
-std::size_t cost(const Stored& stored) {
+std::size_t cost(const StoredMessage& stored) {
   return stored.message.payload.size() + 256;
 }
 
@@ -18,22 +18,22 @@ bool Consumer::can_take() const {
 }
 
 void Queue::push(Message message, std::optional<Instant> expires, bool possibly_redelivered) {
-  items_.push_back(Stored{std::move(message), ++last_sequence_, expires, possibly_redelivered});
+  items_.push_back(StoredMessage{std::move(message), ++last_sequence_, expires, possibly_redelivered});
   bytes_ += cost(items_.back());
 }
 
-void Queue::put_back(Stored stored) {
+void Queue::put_back(StoredMessage stored) {
   stored.redelivered = true;
   bytes_ += cost(stored);
   const auto place =
       std::lower_bound(items_.begin(), items_.end(), stored.sequence,
-                       [](const Stored& item, std::uint64_t sequence) { return item.sequence < sequence; });
+                       [](const StoredMessage& item, std::uint64_t sequence) { return item.sequence < sequence; });
   items_.insert(place, std::move(stored));
 }
 
-std::optional<Stored> Queue::pop(Instant now) {
+std::optional<StoredMessage> Queue::pop(Instant now) {
   while (!items_.empty()) {
-    Stored first = std::move(items_.front());
+    StoredMessage first = std::move(items_.front());
     items_.pop_front();
     bytes_ -= cost(first);
     if (!first.expires || *first.expires > now) return first;

@@ -17,10 +17,10 @@ namespace iotcloud::brokers::embedded {
 using Instant = config::Clock::Instant;
 
 class Queue;
-class Connection;
+class EmbeddedConnection;
 
 /// A message in a queue.
-struct Stored {
+struct StoredMessage {
   Message message;
   std::uint64_t sequence = 0;      ///< its place in the queue, which it keeps when it is put back
   std::optional<Instant> expires;  ///< when it is dropped; nullopt: never
@@ -32,16 +32,16 @@ struct Stored {
 struct Consumer {
   Topic topic;
   SubscriptionOptions options;
-  Connection* connection = nullptr;  ///< must outlive the consumer
+  EmbeddedConnection* connection = nullptr;  ///< must outlive the consumer
 
   std::shared_ptr<Queue> queue;  ///< null while the server is away
   bool active = false;           ///< gets messages; false: exclusivity forbids it, or the server is away
   bool paused = false;
   bool closed = false;
-  bool in_ready = false;  ///< is in Connection::ready
+  bool in_ready = false;  ///< is in EmbeddedConnection::ready
   bool running = false;   ///< its handler runs
   std::uint64_t last_tag = 0;
-  std::map<std::uint64_t, Stored> unsettled;  ///< by tag
+  std::map<std::uint64_t, StoredMessage> unsettled;  ///< by tag
 
   bool can_take() const;
 };
@@ -64,9 +64,9 @@ class Queue {
   /// Appends a message.
   void push(Message message, std::optional<Instant> expires, bool possibly_redelivered = false);
   /// Puts a message back in its old place.
-  void put_back(Stored stored);
+  void put_back(StoredMessage stored);
   /// Takes the oldest message that has not expired; nullopt if there is none.
-  std::optional<Stored> pop(Instant now);
+  std::optional<StoredMessage> pop(Instant now);
   /// Drops the oldest messages until `keep` are left. \return how many it dropped.
   std::size_t trim(std::size_t keep);
   /// Messages that readers have and have not settled.
@@ -82,7 +82,7 @@ class Queue {
 
   const std::string name_;
   const bool durable_;
-  std::deque<Stored> items_;  ///< ascending in `sequence`
+  std::deque<StoredMessage> items_;  ///< ascending in `sequence`
   std::size_t bytes_ = 0;
   std::uint64_t last_sequence_ = 0;
   std::vector<std::shared_ptr<Consumer>> readers_;  ///< oldest first

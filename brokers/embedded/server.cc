@@ -12,7 +12,7 @@ WakeList::~WakeList() {
   for (const auto& connection : others_) connection->wake();
 }
 
-void WakeList::add(Connection& connection) {
+void WakeList::add(EmbeddedConnection& connection) {
   connection.assert_held();
   if (!connection.sleeping) return;
   connection.sleeping = false;
@@ -41,7 +41,7 @@ const Queue* ServerState::find(const std::string& queue_name) const {
 void ServerState::stop(WakeList& wake) {
   if (!running_) return;
   running_ = false;
-  for (Connection* connection : connections_) {
+  for (EmbeddedConnection* connection : connections_) {
     connection->assert_held();
     for (const auto& consumer : connection->consumers) {
       if (!consumer->queue) continue;
@@ -59,11 +59,11 @@ void ServerState::stop(WakeList& wake) {
 void ServerState::start(WakeList& wake) {
   if (running_) return;
   running_ = true;
-  for (Connection* connection : connections_) {
+  for (EmbeddedConnection* connection : connections_) {
     connection->assert_held();
     for (const auto& consumer : connection->consumers) attach(consumer, connection->clock.now(), wake);
   }
-  for (Connection* connection : connections_) {
+  for (EmbeddedConnection* connection : connections_) {
     connection->assert_held();
     for (ServerPublisher* publisher : connection->publishers) {
       if (publisher->options.own_queue) make_own_queue(publisher->topic, connection->clock.now());
@@ -208,11 +208,12 @@ void ServerState::detach(Consumer& consumer, Instant now, WakeList& wake) {
   make_ready(*queue, wake);
 }
 
-std::optional<Stored> ServerState::take(Consumer& consumer, Instant now, WakeList& wake, std::size_t& conflated) {
+std::optional<StoredMessage> ServerState::take(Consumer& consumer, Instant now, WakeList& wake,
+                                               std::size_t& conflated) {
   Queue& queue = *consumer.queue;
   const bool was_full = queue.bytes() > queue_bytes_limit;
   if (consumer.options.keep_last > 0) conflated = queue.trim(consumer.options.keep_last);
-  std::optional<Stored> taken = queue.pop(now);
+  std::optional<StoredMessage> taken = queue.pop(now);
   if (was_full && queue.bytes() <= queue_bytes_limit) flush_topics_of(queue, now, wake);
   return taken;
 }

@@ -41,7 +41,7 @@ struct ServerPublisher : std::enable_shared_from_this<ServerPublisher> {
 
   Topic topic;
   PublisherOptions options;
-  Connection* connection = nullptr;  ///< must outlive the publisher
+  EmbeddedConnection* connection = nullptr;  ///< must outlive the publisher
 
   std::shared_ptr<Route> route;
   std::deque<Waiting> waiting;
@@ -50,9 +50,9 @@ struct ServerPublisher : std::enable_shared_from_this<ServerPublisher> {
   std::size_t pending = 0;      ///< accepted messages whose outcome was not reported yet
   bool wants_writable = false;  ///< publish() answered would_block
   bool writable_due = false;    ///< on_writable must be called
-  bool in_report = false;       ///< is in Connection::to_report
+  bool in_report = false;       ///< is in EmbeddedConnection::to_report
   bool reporting = false;       ///< a thread is calling its callbacks
-  bool timed = false;           ///< is in Connection::timed
+  bool timed = false;           ///< is in EmbeddedConnection::timed
   bool closed = false;
 };
 
@@ -65,11 +65,11 @@ class WakeList {
   WakeList& operator=(const WakeList&) = delete;
   ~WakeList();
   /// Adds a connection if its thread sleeps. The caller holds the server's mutex.
-  void add(Connection& connection);
+  void add(EmbeddedConnection& connection);
 
  private:
-  std::shared_ptr<Connection> first_;  ///< one connection is the usual case, which needs no allocation
-  std::vector<std::shared_ptr<Connection>> others_;
+  std::shared_ptr<EmbeddedConnection> first_;  ///< one connection is the usual case, which needs no allocation
+  std::vector<std::shared_ptr<EmbeddedConnection>> others_;
 };
 
 /// The server behind one "embedded://NAME". `mutex` also guards its connections, publishers, consumers and queues.
@@ -80,8 +80,8 @@ class ServerState {
   bool running() const IOTCLOUD_REQUIRES(mutex) { return running_; }
   void stop(WakeList& wake) IOTCLOUD_REQUIRES(mutex);
   void start(WakeList& wake) IOTCLOUD_REQUIRES(mutex);
-  void join(Connection& connection) IOTCLOUD_REQUIRES(mutex) { connections_.push_back(&connection); }
-  void leave(Connection& connection) IOTCLOUD_REQUIRES(mutex) { std::erase(connections_, &connection); }
+  void join(EmbeddedConnection& connection) IOTCLOUD_REQUIRES(mutex) { connections_.push_back(&connection); }
+  void leave(EmbeddedConnection& connection) IOTCLOUD_REQUIRES(mutex) { std::erase(connections_, &connection); }
 
   std::shared_ptr<Route> route(const std::string& topic) IOTCLOUD_REQUIRES(mutex);
   /// Makes the queue of a publisher with PublisherOptions::own_queue, now or when the server starts.
@@ -102,7 +102,7 @@ class ServerState {
   void detach(Consumer& consumer, Instant now, WakeList& wake) IOTCLOUD_REQUIRES(mutex);
   /// Takes the next message for a consumer that can take one; nullopt if all waiting messages had expired. \param
   /// conflated set to the number of messages that keep_last dropped.
-  std::optional<Stored> take(Consumer& consumer, Instant now, WakeList& wake, std::size_t& conflated)
+  std::optional<StoredMessage> take(Consumer& consumer, Instant now, WakeList& wake, std::size_t& conflated)
       IOTCLOUD_REQUIRES(mutex);
   /// Puts the readers of a queue that can take messages on their connections' list `ready`, and wakes those
   /// connections.
@@ -121,7 +121,7 @@ class ServerState {
   void remove_idle(Route& route, Instant now) IOTCLOUD_REQUIRES(mutex);
 
   bool running_ IOTCLOUD_GUARDED_BY(mutex) = true;
-  std::vector<Connection*> connections_ IOTCLOUD_GUARDED_BY(mutex);
+  std::vector<EmbeddedConnection*> connections_ IOTCLOUD_GUARDED_BY(mutex);
   std::map<std::string, std::shared_ptr<Queue>> queues_ IOTCLOUD_GUARDED_BY(mutex);
   std::map<std::string, std::shared_ptr<Route>> routes_ IOTCLOUD_GUARDED_BY(mutex);  ///< by topic
   Instant last_sweep_ IOTCLOUD_GUARDED_BY(mutex){};

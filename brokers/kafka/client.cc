@@ -116,7 +116,7 @@ KafkaOptions kafka_options(const BrokerOptions& options, const std::vector<Broke
   return read;
 }
 
-Client::Client(rd_kafka_type_t type, const KafkaOptions& options, const Settings& settings, int events) {
+KafkaClient::KafkaClient(rd_kafka_type_t type, const KafkaOptions& options, const Settings& settings, int events) {
   Conf conf(rd_kafka_conf_new());
   std::array<char, 512> problem{};
   Settings all = common_settings(options);
@@ -137,11 +137,12 @@ Client::Client(rd_kafka_type_t type, const KafkaOptions& options, const Settings
 
 // The library ends the client on a thread of its own, because librdkafka 2.0.2 may wait for ever for a consumer that
 // had a partition of a topic that is gone (mended in 2.1.0). All topics are gone from a server that has lost its data.
-Client::~Client() {
+KafkaClient::~KafkaClient() {
   std::promise<void> ended;
   auto end = ended.get_future();
   std::thread thread([handle = handle_, ended = std::move(ended)]() mutable {
-    // NO_CONSUMER_CLOSE, because Group has closed the consumer already, or wants it to end without leaving the group.
+    // NO_CONSUMER_CLOSE, because ConsumerGroup has closed the consumer already, or wants it to end without leaving the
+    // group.
     rd_kafka_destroy_flags(handle, RD_KAFKA_DESTROY_F_NO_CONSUMER_CLOSE);
     ended.set_value();
   });
@@ -154,7 +155,7 @@ Client::~Client() {
   }
 }
 
-bool Client::connected() const {
+bool KafkaClient::connected() const {
   // With a time-out of zero the call sends a request if it can, and does not wait for the answer, which may take long
   // from a distant server.
   const rd_kafka_metadata_t* metadata = nullptr;
@@ -163,7 +164,7 @@ bool Client::connected() const {
   return error == RD_KAFKA_RESP_ERR_NO_ERROR || error == RD_KAFKA_RESP_ERR__TIMED_OUT;
 }
 
-int Client::partitions(const std::string& topic, std::chrono::milliseconds limit) const {
+int KafkaClient::partitions(const std::string& topic, std::chrono::milliseconds limit) const {
   rd_kafka_topic_t* handle = rd_kafka_topic_new(handle_, topic.c_str(), nullptr);
   if (handle == nullptr) return 0;
   const rd_kafka_metadata_t* metadata = nullptr;
@@ -176,7 +177,7 @@ int Client::partitions(const std::string& topic, std::chrono::milliseconds limit
   return count;
 }
 
-void Client::refresh_credentials(const KafkaOptions& options, config::Clock::Instant now) {
+void KafkaClient::refresh_credentials(const KafkaOptions& options, config::Clock::Instant now) {
   if (now - refreshed_ < refresh_period) return;
   refreshed_ = now;
   try {
@@ -219,7 +220,7 @@ bool is_about_connection(rd_kafka_resp_err_t error) {
   }
 }
 
-void request_topics(const Client& client, rd_kafka_queue_t* queue, const std::vector<std::string>& names,
+void request_topics(const KafkaClient& client, rd_kafka_queue_t* queue, const std::vector<std::string>& names,
                     const KafkaOptions& options) {
   struct TopicDestroyer {
     void operator()(rd_kafka_NewTopic_t* topic) const { rd_kafka_NewTopic_destroy(topic); }

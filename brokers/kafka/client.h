@@ -16,8 +16,8 @@
 
 namespace iotcloud::brokers::kafka {
 
-/// A client cannot be made or a request failed; the text is for the log. Producer and Group catch it; users never see
-/// it.
+/// A client cannot be made or a request failed; the text is for the log. Producer and ConsumerGroup catch it; users
+/// never see it.
 class ClientError : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
@@ -53,14 +53,14 @@ inline constexpr std::chrono::milliseconds longest_doubt{1000};
 /// One client of librdkafka: a producer, or a consumer in a group. Every received message holds a reference to its
 /// client, because messages must be destroyed before it. So the destructor may run on any thread. It waits for the
 /// library's threads, but not longer than two seconds; afterwards they end in the background.
-class Client {
+class KafkaClient {
  public:
   /// Connects in the background. \param events which events to deliver (RD_KAFKA_EVENT_*).
   /// \throws ClientError; config::Error if the password cannot be read.
-  Client(rd_kafka_type_t type, const KafkaOptions& options, const Settings& settings, int events);
-  ~Client();
-  Client(const Client&) = delete;
-  Client& operator=(const Client&) = delete;
+  KafkaClient(rd_kafka_type_t type, const KafkaOptions& options, const Settings& settings, int events);
+  ~KafkaClient();
+  KafkaClient(const KafkaClient&) = delete;
+  KafkaClient& operator=(const KafkaClient&) = delete;
 
   rd_kafka_t* get() const { return handle_; }
   /// Whether there is an authenticated connection to some server. Does not wait; begins to connect if there is none.
@@ -101,7 +101,7 @@ bool is_about_connection(rd_kafka_resp_err_t error);
 std::string lasting_words(rd_kafka_event_t* event);
 
 /// Asks the servers to make topics; the answer comes to `queue` as RD_KAFKA_EVENT_CREATETOPICS_RESULT.
-void request_topics(const Client& client, rd_kafka_queue_t* queue, const std::vector<std::string>& names,
+void request_topics(const KafkaClient& client, rd_kafka_queue_t* queue, const std::vector<std::string>& names,
                     const KafkaOptions& options);
 
 struct MadeTopic {

@@ -78,7 +78,7 @@ class KafkaBroker final : public Broker {
 
   std::unique_ptr<Publisher> publisher(const Topic& topic, const PublisherOptions& options) override {
     check_topic(topic.name);
-    return std::make_unique<client::CorePublisher>(lane(options.priority).publishing.core(), topic, options);
+    return std::make_unique<client::CorePublisher>(clients_for(options.priority).publishing.core(), topic, options);
   }
 
   std::unique_ptr<Subscription> subscribe(const Topic& topic, const SubscriptionOptions& options,
@@ -91,7 +91,7 @@ class KafkaBroker final : public Broker {
       all.dead_letter += dead_letters_suffix;
     }
     if (!all.automatic_ack) handler = dead_letters_.guard(topic, all, std::move(handler));
-    return std::make_unique<KafkaSubscription>(lane(options.priority).consuming, topic, all, std::move(handler),
+    return std::make_unique<KafkaSubscription>(clients_for(options.priority).consuming, topic, all, std::move(handler),
                                                [this, dead_letter = all.dead_letter] {
                                                  // A rejected message is settled only when the broker has confirmed its
                                                  // dead letter. So this waits for the letters: otherwise the next
@@ -116,18 +116,18 @@ class KafkaBroker final : public Broker {
 
  private:
   /// Producer and groups with their own connections.
-  struct Lane {
-    explicit Lane(KafkaBroker& broker)
+  struct PriorityClients {
+    explicit PriorityClients(KafkaBroker& broker)
         : publishing(broker.options_, broker.meters_, broker.clock_, broker.log_),
           consuming(broker.options_, broker.meters_, broker.clock_, broker.log_) {}
     Producer publishing;
     ConsumerGroups consuming;
   };
 
-  Lane& lane(std::uint8_t priority) {
+  PriorityClients& clients_for(std::uint8_t priority) {
     if (priority < urgent_priority) return normal_;
     const config::MutexLock lock(mutex_);
-    if (!urgent_) urgent_ = std::make_unique<Lane>(*this);
+    if (!urgent_) urgent_ = std::make_unique<PriorityClients>(*this);
     return *urgent_;
   }
 
@@ -136,10 +136,11 @@ class KafkaBroker final : public Broker {
   Meters meters_;
   const config::Clock& clock_;
   ConnectionLog log_;
-  Lane normal_;
+  PriorityClients normal_;
   PartitionCounts partition_counts_;
   config::Mutex mutex_;
-  std::unique_ptr<Lane> urgent_ IOTCLOUD_GUARDED_BY(mutex_);  ///< for urgent channels; made when first needed
+  std::unique_ptr<PriorityClients> urgent_
+      IOTCLOUD_GUARDED_BY(mutex_);   ///< for urgent channels; made when first needed
   DeadLetters dead_letters_{*this};  ///< declared last, so that its publishers are destroyed before the connections
 };
 

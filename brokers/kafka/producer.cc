@@ -107,8 +107,8 @@ Producer::Producer(KafkaOptions options, Meters& meters, const config::Clock& cl
       core_(*this, meters, clock),
       renewal_(options_,
                [this] {
-                 return std::make_shared<Client>(RD_KAFKA_PRODUCER, options_, producer_settings(),
-                                                 RD_KAFKA_EVENT_DR | RD_KAFKA_EVENT_ERROR);
+                 return std::make_shared<KafkaClient>(RD_KAFKA_PRODUCER, options_, producer_settings(),
+                                                      RD_KAFKA_EVENT_DR | RD_KAFKA_EVENT_ERROR);
                }),
       gathering_target_(std::make_shared<Gathering::Target>([this] { end_gathering(); })) {
   thread_ = std::thread([this] { run(); });
@@ -335,7 +335,7 @@ void Producer::run() {
 
 void Producer::start_client() {
   if (clock_.now() < next_attempt_) return;
-  std::shared_ptr<Client> made;
+  std::shared_ptr<KafkaClient> made;
   Queue events;
   try {
     const config::Unlocked unlocked(core_.mutex);
@@ -374,7 +374,7 @@ void Producer::end_client(const std::string& reason) {
     serve_events();
   }
   rd_kafka_queue_io_event_enable(events_.get(), -1, nullptr, 0);
-  std::shared_ptr<Client> gone;
+  std::shared_ptr<KafkaClient> gone;
   {
     const PublishCore::Turn turn(core_);  // another thread may be handing over a wave
     topics_.forget();
@@ -434,7 +434,7 @@ void Producer::look_for_servers() {
   if (connected_ && doubted_at_ == Instant{}) return;
   bool connected = false;
   {
-    const std::shared_ptr<Client> client = client_;
+    const std::shared_ptr<KafkaClient> client = client_;
     const config::Unlocked unlocked(core_.mutex);  // without the mutex, because it may read a password file
     connected = client->connected();
     if (!connected) client->refresh_credentials(options_, clock_.now());
@@ -526,7 +526,7 @@ void Producer::on_error(rd_kafka_event_t* event) {
 void Producer::look_for_topics() {
   if (!connected_) return;
   for (const std::string& name : topics_.unseen(clock_.now())) {
-    const std::shared_ptr<Client> client = client_;
+    const std::shared_ptr<KafkaClient> client = client_;
     int partitions = 0;
     {
       const config::Unlocked unlocked(core_.mutex);
@@ -555,7 +555,7 @@ milliseconds Producer::time_to_sleep() {
   if (send_again_at_ != Instant{}) until(send_again_at_);
   if (!core_.under_way().empty()) limit = std::min(limit, TopicLane::longest_wait);
   if (may_send()) {
-    for (const client::Lane* const lane : core_.waiting_lanes()) {
+    for (const client::PublishLane* const lane : core_.waiting_lanes()) {
       const auto& topic = static_cast<const TopicLane&>(*lane);
       until(topic.under_way == 0 ? now : topic.opens_at());
     }

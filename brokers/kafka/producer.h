@@ -110,7 +110,7 @@ class Producer final : client::PublishTransport {
   Renewal renewal_;  ///< only the producer's thread uses it
 
   /// Replaced by the producer's thread, with the core's Turn.
-  std::shared_ptr<Client> client_ IOTCLOUD_GUARDED_BY(core_.mutex);
+  std::shared_ptr<KafkaClient> client_ IOTCLOUD_GUARDED_BY(core_.mutex);
   Queue events_ IOTCLOUD_GUARDED_BY(core_.mutex);
   ProducerTopics topics_ IOTCLOUD_GUARDED_BY(core_.mutex);
   std::vector<UnderWay*> wave_ IOTCLOUD_GUARDED_BY(core_.mutex);  ///< the gathered messages, all of one topic

@@ -7,7 +7,8 @@
 
 namespace iotcloud::brokers::kafka {
 
-void ProducerTopics::ask(const Client& client, rd_kafka_queue_t* events, const KafkaOptions& options, Instant now) {
+void ProducerTopics::ask(const KafkaClient& client, rd_kafka_queue_t* events, const KafkaOptions& options,
+                         Instant now) {
   if (!asked_.empty() || now < ask_at_) return;
   for (const auto& [name, lane] : lanes_) {
     if (!lane.topic && !lane.made) asked_.push_back(name);
@@ -45,7 +46,7 @@ void ProducerTopics::not_there(const std::string& name, Instant now) {
   ask_at_ = now + backoff_.next();
 }
 
-void ProducerTopics::there(const std::string& name, int partitions, const Client& client) {
+void ProducerTopics::there(const std::string& name, int partitions, const KafkaClient& client) {
   backoff_.reset();
   rd_kafka_topic_t* const made = rd_kafka_topic_new(client.get(), name.c_str(), nullptr);
   if (made == nullptr) return;

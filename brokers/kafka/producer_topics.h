@@ -34,7 +34,7 @@ namespace iotcloud::brokers::kafka {
 /// A server judges a request as a whole: it refuses all messages of one that is larger than the topic takes, or that
 /// has a bad message in it. Messages that were refused in company are sent again, each alone; only what was alone in
 /// its request is refused for good. If the server takes each of them then, later waves are half as large.
-struct TopicLane final : client::Lane {
+struct TopicLane final : client::PublishLane {
   using Instant = config::Clock::Instant;
 
   /// Whether a single message may go now.
@@ -116,13 +116,13 @@ class ProducerTopics {
   /// The lane of the topic of that name; its address does not change.
   TopicLane& lane(const std::string& name) { return lanes_[name]; }
   /// Asks the servers to make the topics that are not made yet, unless a request is under way or it is too early.
-  void ask(const Client& client, rd_kafka_queue_t* events, const KafkaOptions& options, Instant now);
+  void ask(const KafkaClient& client, rd_kafka_queue_t* events, const KafkaOptions& options, Instant now);
   void on_answer(rd_kafka_event_t* event, Instant now);
   /// The topics that were made but that no server lists yet, which takes a moment.
   std::vector<std::string> unseen(Instant now) const;
   /// Reports whether one of them was found, and how many partitions it has.
   void not_there(const std::string& name, Instant now);
-  void there(const std::string& name, int partitions, const Client& client);
+  void there(const std::string& name, int partitions, const KafkaClient& client);
   /// The servers report that they do not know the topic.
   static void gone(TopicLane& lane);
   /// When ask() or unseen() has something to do; Instant::max(): not before an answer comes.

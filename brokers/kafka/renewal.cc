@@ -9,7 +9,7 @@ namespace iotcloud::brokers::kafka {
 
 Renewal::Renewal(const KafkaOptions& options, Make make) : options_(options), make_(std::move(make)) {}
 
-std::shared_ptr<Client> Renewal::client() {
+std::shared_ptr<KafkaClient> Renewal::client() {
   if (next_ && next_->connected()) {
     logger.info("{}: a client with the renewed TLS files takes over", printable_url(options_.broker.urls.front()));
     used_ = std::exchange(of_next_, {});

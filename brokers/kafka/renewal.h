@@ -19,14 +19,14 @@ namespace iotcloud::brokers::kafka {
 class Renewal {
  public:
   using Instant = config::Clock::Instant;
-  using Make = std::function<std::shared_ptr<Client>()>;
+  using Make = std::function<std::shared_ptr<KafkaClient>()>;
 
   /// \param options outlive this object. \param make makes a client that delivers RD_KAFKA_EVENT_ERROR
   Renewal(const KafkaOptions& options, Make make);
 
   /// The client to use from now on: the one that is ready, otherwise a new one.
   /// \throws ClientError; config::Error if the password cannot be read.
-  std::shared_ptr<Client> client();
+  std::shared_ptr<KafkaClient> client();
   /// Whether client() should take over from the present client. May read files and make a client.
   bool ready(Instant now);
   /// Whether a client was made that no server has let in yet: ready() is to be called often.
@@ -50,7 +50,7 @@ class Renewal {
   Mark seen_{};  ///< at the last look
   Mark of_next_{};
   Instant look_at_{};
-  std::shared_ptr<Client> next_;
+  std::shared_ptr<KafkaClient> next_;
   std::set<std::string> complaints_;  ///< those that the log has, since the files changed
 };
 

@@ -57,7 +57,7 @@ Cluster::Cluster(const BrokerOptions& options, std::vector<BrokerUrl> urls)
 }
 
 std::unique_ptr<AmqpLink> Cluster::connect(std::size_t server, const char* purpose, Login login) const {
-  LinkOptions link;
+  AmqpLinkOptions link;
   link.url = urls_.at(server);
   try {
     Credentials credentials = credentials_for(login == Login::reader ? of_readers_ : options_, link.url);

@@ -40,10 +40,10 @@ std::shared_ptr<TopicSubscriber> ConsumerGroups::add(const Topic& topic, const S
                                                      Handler handler) {
   const config::MutexLock lock(mutex_);
   const std::string& name = options.group.empty() ? topic.name : options.group;
-  std::shared_ptr<Group>& group = groups_[{name, options.partition}];
+  std::shared_ptr<ConsumerGroup>& group = groups_[{name, options.partition}];
   if (!group) {
-    auto member = std::make_shared<Member>(group_name(name, options.partition), options.partition);
-    group = std::make_shared<Group>(options_, reader_, std::move(member), clock_, log_, wake_event_);
+    auto member = std::make_shared<GroupMember>(group_name(name, options.partition), options.partition);
+    group = std::make_shared<ConsumerGroup>(options_, reader_, std::move(member), clock_, log_, wake_event_);
   }
   auto subscriber = std::make_shared<TopicSubscriber>(group->member(), topic, options, std::move(handler));
   reader_->add(subscriber);
@@ -69,16 +69,16 @@ ConnectionState ConsumerGroups::state() const {
   return all ? ConnectionState::connected : ConnectionState::connecting;
 }
 
-std::vector<std::shared_ptr<Group>> ConsumerGroups::groups_to_serve() {
-  std::vector<std::shared_ptr<Group>> serving = leaving_;
+std::vector<std::shared_ptr<ConsumerGroup>> ConsumerGroups::groups_to_serve() {
+  std::vector<std::shared_ptr<ConsumerGroup>> serving = leaving_;
   for (auto entry = groups_.begin(); entry != groups_.end();) {
-    const std::shared_ptr<Group>& group = entry->second;
+    const std::shared_ptr<ConsumerGroup>& group = entry->second;
     serving.push_back(group);
     if (!closing_ && !reader_->topics(*group->member()).empty()) {
       ++entry;
       continue;
     }
-    // No subscription reads in this group any more; a new one makes another Group object.
+    // No subscription reads in this group any more; a new one makes another ConsumerGroup object.
     leaving_.push_back(group);
     group->close();
     entry = groups_.erase(entry);
@@ -90,7 +90,7 @@ void ConsumerGroups::run() {
   on_thread_.assert_held();
   const config::MutexLock lock(mutex_);
   while (!closing_ || !leaving_.empty() || !groups_.empty()) {
-    std::vector<std::shared_ptr<Group>> serving = groups_to_serve();
+    std::vector<std::shared_ptr<ConsumerGroup>> serving = groups_to_serve();
     const config::Unlocked unlocked(mutex_);
     std::chrono::milliseconds limit{1000};
     for (const auto& group : serving) limit = std::min(limit, group->serve());

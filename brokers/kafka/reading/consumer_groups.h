@@ -35,7 +35,7 @@ class ConsumerGroups {
  private:
   void run();
   /// Begins to leave the groups without subscriptions. \return all groups that are to be served
-  std::vector<std::shared_ptr<Group>> groups_to_serve() IOTCLOUD_REQUIRES(mutex_, on_thread_);
+  std::vector<std::shared_ptr<ConsumerGroup>> groups_to_serve() IOTCLOUD_REQUIRES(mutex_, on_thread_);
 
   const KafkaOptions options_;
   const config::Clock& clock_;
@@ -45,11 +45,11 @@ class ConsumerGroups {
 
   mutable config::Mutex mutex_;
   bool closing_ IOTCLOUD_GUARDED_BY(mutex_) = false;
-  /// By name and partition. Only the groups' thread uses the Group objects.
-  std::map<std::pair<std::string, std::optional<std::int32_t>>, std::shared_ptr<Group>> groups_
+  /// By name and partition. Only the groups' thread uses the ConsumerGroup objects.
+  std::map<std::pair<std::string, std::optional<std::int32_t>>, std::shared_ptr<ConsumerGroup>> groups_
       IOTCLOUD_GUARDED_BY(mutex_);
   config::ThreadRole on_thread_;
-  std::vector<std::shared_ptr<Group>> leaving_ IOTCLOUD_GUARDED_BY(on_thread_);
+  std::vector<std::shared_ptr<ConsumerGroup>> leaving_ IOTCLOUD_GUARDED_BY(on_thread_);
   std::thread thread_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 

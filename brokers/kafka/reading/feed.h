@@ -16,13 +16,13 @@
 namespace iotcloud::brokers::kafka {
 
 class PartitionReader;
-struct Member;
+struct GroupMember;
 
 /// One subscription. Guarded by the reader's mutex, except for the constants.
 struct TopicSubscriber : client::Subscriber {
-  TopicSubscriber(std::shared_ptr<Member> of, Topic to, SubscriptionOptions how, Handler what)
+  TopicSubscriber(std::shared_ptr<GroupMember> of, Topic to, SubscriptionOptions how, Handler what)
       : client::Subscriber(std::move(to), std::move(how), std::move(what)), member(std::move(of)) {}
-  const std::shared_ptr<Member> member;
+  const std::shared_ptr<GroupMember> member;
   std::size_t unsettled = 0;  ///< deliveries of its feeds, waiting ones included
 };
 
@@ -36,30 +36,30 @@ struct FeedProgress {
 
 /// One partition that the group assigned to this process. DeliveryStream::more is set from a signal of its queue until
 /// the queue was found empty. Guarded by the reader's mutex, except for the constants.
-class Feed final : public FeedProgress, public client::DeliveryStream {
+class PartitionFeed final : public FeedProgress, public client::DeliveryStream {
  public:
-  Feed(std::shared_ptr<PartitionReader> to, std::shared_ptr<Member> of, std::shared_ptr<Client> from, PartitionKey what,
-       Progress how_far);
-  ~Feed() override = default;
+  PartitionFeed(std::shared_ptr<PartitionReader> to, std::shared_ptr<GroupMember> of, std::shared_ptr<KafkaClient> from,
+                PartitionKey what, Progress how_far);
+  ~PartitionFeed() override = default;
   void settle(std::uint64_t tag, Settlement settlement) noexcept override;
 
   const std::shared_ptr<PartitionReader> reader;
-  const std::shared_ptr<Member> member;
+  const std::shared_ptr<GroupMember> member;
   const PartitionKey key;
 
-  std::shared_ptr<Client> client;  ///< null once the feed is closed
-  Queue queue;                     ///< receives the partition's records; signals the reader when it becomes non-empty
-  bool leaving = false;            ///< the group revokes the partition: nothing more is handed on
-  bool complained = false;         ///< the last record was undecodable, and that was logged
+  std::shared_ptr<KafkaClient> client;  ///< null once the feed is closed
+  Queue queue;              ///< receives the partition's records; signals the reader when it becomes non-empty
+  bool leaving = false;     ///< the group revokes the partition: nothing more is handed on
+  bool complained = false;  ///< the last record was undecodable, and that was logged
 
   /// The subscription that reads it now; may be null.
   TopicSubscriber* reads_it() const { return static_cast<TopicSubscriber*>(subscriber.get()); }
 };
 
 /// This process as a member of one group. Guarded by the reader's mutex, except for the constants.
-struct Member {
+struct GroupMember {
   /// \param only the one partition of its topics that this member reads; nullopt: all that the group gives it.
-  explicit Member(std::string group, std::optional<std::int32_t> only = std::nullopt)
+  explicit GroupMember(std::string group, std::optional<std::int32_t> only = std::nullopt)
       : name(std::move(group)), partition(only) {}
   /// Whether it reads this partition if the group gives it.
   bool wants(std::int32_t number) const { return !partition || *partition == number; }
@@ -68,7 +68,7 @@ struct Member {
   bool connected = false;
   /// The first subscription to a topic reads it, the others stand by.
   std::vector<std::shared_ptr<TopicSubscriber>> subscribers;
-  std::map<PartitionKey, std::shared_ptr<Feed>> feeds;
+  std::map<PartitionKey, std::shared_ptr<PartitionFeed>> feeds;
 };
 
 }  // namespace iotcloud::brokers::kafka

@@ -65,8 +65,9 @@ void check(rd_kafka_error_t* error, const char* doing) {
 
 }  // namespace
 
-Group::Group(const KafkaOptions& options, std::shared_ptr<PartitionReader> reader, std::shared_ptr<Member> member,
-             const config::Clock& clock, ConnectionLog& log, client::WakeEvent& wake)
+ConsumerGroup::ConsumerGroup(const KafkaOptions& options, std::shared_ptr<PartitionReader> reader,
+                             std::shared_ptr<GroupMember> member, const config::Clock& clock, ConnectionLog& log,
+                             client::WakeEvent& wake)
     : options_(options),
       reader_(std::move(reader)),
       member_(std::move(member)),
@@ -75,15 +76,16 @@ Group::Group(const KafkaOptions& options, std::shared_ptr<PartitionReader> reade
       wake_(wake),
       session_(2 * options.broker.heartbeat),
       renewal_(options, [this] {
-        return std::make_shared<Client>(RD_KAFKA_CONSUMER, options_, consumer_settings(member_->name, session_),
-                                        RD_KAFKA_EVENT_REBALANCE | RD_KAFKA_EVENT_OFFSET_COMMIT | RD_KAFKA_EVENT_ERROR);
+        return std::make_shared<KafkaClient>(
+            RD_KAFKA_CONSUMER, options_, consumer_settings(member_->name, session_),
+            RD_KAFKA_EVENT_REBALANCE | RD_KAFKA_EVENT_OFFSET_COMMIT | RD_KAFKA_EVENT_ERROR);
       }) {}
 
-Group::~Group() {
+ConsumerGroup::~ConsumerGroup() {
   end_client();
 }
 
-std::chrono::milliseconds Group::serve() {
+std::chrono::milliseconds ConsumerGroup::serve() {
   if (closing_ && !client_) return std::chrono::milliseconds(1000);
   try {
     if (!client_) start_client();
@@ -110,7 +112,7 @@ std::chrono::milliseconds Group::serve() {
   return time_to_sleep(now);
 }
 
-std::chrono::milliseconds Group::time_to_sleep(Instant now) const {
+std::chrono::milliseconds ConsumerGroup::time_to_sleep(Instant now) const {
   if (!connected_ || doubted_at_ != Instant{}) return look_again;
   std::chrono::milliseconds limit{1000};
   const auto until = [&](Instant instant) {
@@ -124,7 +126,7 @@ std::chrono::milliseconds Group::time_to_sleep(Instant now) const {
   return limit;
 }
 
-void Group::start_client() {
+void ConsumerGroup::start_client() {
   if (clock_.now() < start_at_) return;
   client_ = renewal_.client();
   rd_kafka_poll_set_consumer(client_->get());
@@ -134,7 +136,7 @@ void Group::start_client() {
   doubted_at_ = {};
 }
 
-void Group::end_client() {
+void ConsumerGroup::end_client() {
   if (!client_) return;
   stop_reading(assigned_);
   assigned_.clear();
@@ -150,12 +152,12 @@ void Group::end_client() {
   client_.reset();
 }
 
-void Group::watch(const Queue& queue) const {
+void ConsumerGroup::watch(const Queue& queue) const {
   constexpr std::uint64_t one = 1;
   rd_kafka_queue_io_event_enable(queue.get(), wake_.descriptor(), &one, sizeof(one));
 }
 
-std::chrono::milliseconds Group::serve_closing(Instant now) {
+std::chrono::milliseconds ConsumerGroup::serve_closing(Instant now) {
   if (close_by_ == Instant{}) {
     stop_reading(assigned_);
     close_by_ = now + last_commit_limit;
@@ -177,7 +179,7 @@ std::chrono::milliseconds Group::serve_closing(Instant now) {
   return std::chrono::milliseconds(0);
 }
 
-void Group::leave_group() {
+void ConsumerGroup::leave_group() {
   leaving_ = true;
   // In librdkafka 2.0.2, a subscription that waits for the end of a rebalance survives the closing of the consumer,
   // which then fails an assertion or joins the group again for ever. Unsubscribing cancels it.
@@ -189,11 +191,11 @@ void Group::leave_group() {
   events_ = std::move(last);
 }
 
-bool Group::closed() const {
+bool ConsumerGroup::closed() const {
   return closing_ && (!client_ || rd_kafka_consumer_closed(client_->get()) != 0);
 }
 
-void Group::look_for_servers() {
+void ConsumerGroup::look_for_servers() {
   if ((connected_ && doubted_at_ == Instant{}) || ending()) return;
   const bool connected = client_->connected();
   if (!connected) client_->refresh_credentials(options_, clock_.now());
@@ -213,7 +215,7 @@ void Group::look_for_servers() {
   reader_->set_connected(*member_, connected_);
 }
 
-void Group::on_event(rd_kafka_event_t* event) {
+void ConsumerGroup::on_event(rd_kafka_event_t* event) {
   switch (rd_kafka_event_type(event)) {
     case RD_KAFKA_EVENT_REBALANCE: {
       const rd_kafka_topic_partition_list_t* partitions = rd_kafka_event_topic_partition_list(event);
@@ -244,7 +246,7 @@ void Group::on_event(rd_kafka_event_t* event) {
   }
 }
 
-void Group::on_error(rd_kafka_event_t* event) {
+void ConsumerGroup::on_error(rd_kafka_event_t* event) {
   const rd_kafka_resp_err_t error = rd_kafka_event_error(event);
   const std::string text = rd_kafka_event_error_string(event);
   if (rd_kafka_event_error_is_fatal(event) != 0) {
@@ -277,7 +279,7 @@ void Group::on_error(rd_kafka_event_t* event) {
 }
 
 /// Those of the partitions that this member reads; it leaves the others of its topics to the groups of their own.
-PartitionList Group::wanted(const rd_kafka_topic_partition_list_t& partitions) const {
+PartitionList ConsumerGroup::wanted(const rd_kafka_topic_partition_list_t& partitions) const {
   PartitionList list(rd_kafka_topic_partition_list_new(partitions.cnt));
   for (const auto& entry : entries_of(partitions)) {
     if (member_->wants(entry.partition)) rd_kafka_topic_partition_list_add(list.get(), entry.topic, entry.partition);
@@ -285,7 +287,7 @@ PartitionList Group::wanted(const rd_kafka_topic_partition_list_t& partitions) c
   return list;
 }
 
-void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
+void ConsumerGroup::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
   const PartitionList list = wanted(partitions);
   const rd_kafka_resp_err_t error =
       rd_kafka_committed(client_->get(), list.get(), static_cast<int>(committed_limit.count()));
@@ -303,7 +305,8 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
                    : error == RD_KAFKA_RESP_ERR_NO_ERROR ? RD_KAFKA_OFFSET_BEGINNING
                                                          : RD_KAFKA_OFFSET_STORED;
     assigned_.insert(key);
-    if (!ending()) reader_->assigned(std::make_shared<Feed>(reader_, member_, client_, key, std::move(progress)));
+    if (!ending())
+      reader_->assigned(std::make_shared<PartitionFeed>(reader_, member_, client_, key, std::move(progress)));
   }
   const bool all_read = unread().empty();
   join_again_at_ = all_read ? Instant{} : clock_.now() + join_backoff_.next();
@@ -315,7 +318,7 @@ void Group::on_assign(const rd_kafka_topic_partition_list_t& partitions) {
   }
 }
 
-void Group::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
+void ConsumerGroup::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
   const PartitionList list = wanted(partitions);
   std::set<PartitionKey> keys;
   for (const auto& entry : entries_of(*list)) keys.emplace(entry.topic, entry.partition);
@@ -332,13 +335,13 @@ void Group::on_revoke(const rd_kafka_topic_partition_list_t& partitions) {
   }
 }
 
-void Group::stop_reading(const std::set<PartitionKey>& keys) {
+void ConsumerGroup::stop_reading(const std::set<PartitionKey>& keys) {
   for (CommitOf& commit : reader_->leave(*member_, keys, handler_limit)) {
     unsaved_[commit.key] = std::move(commit.committed);
   }
 }
 
-rd_kafka_resp_err_t Group::commit_unsaved(const std::set<PartitionKey>& keys) {
+rd_kafka_resp_err_t ConsumerGroup::commit_unsaved(const std::set<PartitionKey>& keys) {
   std::vector<CommitOf> commits;
   for (const auto& [key, committed] : unsaved_) {
     if (keys.contains(key)) commits.push_back({key, committed});
@@ -351,13 +354,13 @@ rd_kafka_resp_err_t Group::commit_unsaved(const std::set<PartitionKey>& keys) {
   return error;
 }
 
-void Group::warn_of_unsaved(rd_kafka_resp_err_t error) const {
+void ConsumerGroup::warn_of_unsaved(rd_kafka_resp_err_t error) const {
   if (error == RD_KAFKA_RESP_ERR_NO_ERROR || unsaved_.empty()) return;
   logger.warn("group {}: cannot commit what was read: {}; the next reader gets some of it again", member_->name,
               rd_kafka_err2str(error));
 }
 
-void Group::commit_settled(Instant now) {
+void ConsumerGroup::commit_settled(Instant now) {
   if (!connected_ || closing_ || now < commit_at_) return;
   const std::vector<CommitOf> commits = reader_->take_commits(*member_);
   if (commits.empty()) return;
@@ -368,7 +371,7 @@ void Group::commit_settled(Instant now) {
   for (const CommitOf& commit : commits) reader_->commit_failed(*member_, commit.key);
 }
 
-void Group::follow_subscriptions(Instant now) {
+void ConsumerGroup::follow_subscriptions(Instant now) {
   if (!connected_) return;
   const std::set<std::string> wanted = reader_->topics(*member_);
   if (asked_.empty() && ask_topics_at_ <= now) {
@@ -408,7 +411,7 @@ void Group::follow_subscriptions(Instant now) {
   tell_subscription(std::move(told));
 }
 
-void Group::tell_subscription(std::set<std::string> topics) {
+void ConsumerGroup::tell_subscription(std::set<std::string> topics) {
   rd_kafka_resp_err_t error = RD_KAFKA_RESP_ERR_NO_ERROR;
   if (topics.empty()) {
     error = rd_kafka_unsubscribe(client_->get());
@@ -432,7 +435,7 @@ void Group::tell_subscription(std::set<std::string> topics) {
 // does not know yet has no partitions. librdkafka 2.0.2 learns of them later but does nothing, so the topic would never
 // have a reader. So a member without partitions of a topic joins again for it; more and more rarely, because other
 // members may have all of them.
-void Group::join_for_unread(Instant now) {
+void ConsumerGroup::join_for_unread(Instant now) {
   if (join_again_at_ == Instant{} || now < join_again_at_) return;
   forgotten_ = unread();
   logger.debug("group {}: got no partition of {} topics; joining again", member_->name, forgotten_.size());
@@ -442,13 +445,13 @@ void Group::join_for_unread(Instant now) {
   tell_subscription(std::move(read));
 }
 
-std::set<std::string> Group::unread() const {
+std::set<std::string> ConsumerGroup::unread() const {
   std::set<std::string> topics = subscribed_;
   for (const auto& [topic, partition] : assigned_) topics.erase(topic);
   return topics;
 }
 
-void Group::on_topics(rd_kafka_event_t* event) {
+void ConsumerGroup::on_topics(rd_kafka_event_t* event) {
   for (const MadeTopic& made : made_topics(event, asked_)) {
     if (!made.complaint.empty() && complaints_.insert(made.name + made.complaint).second) {
       logger.warn("cannot make the topic {}: {}; {}", made.name, made.complaint,
@@ -463,7 +466,7 @@ void Group::on_topics(rd_kafka_event_t* event) {
   asked_.clear();
 }
 
-std::set<std::string> Group::subscription() const {
+std::set<std::string> ConsumerGroup::subscription() const {
   rd_kafka_topic_partition_list_t* list = nullptr;
   if (rd_kafka_subscription(client_->get(), &list) != RD_KAFKA_RESP_ERR_NO_ERROR) return {};
   const PartitionList owned(list);

@@ -24,16 +24,17 @@ using Instant = config::Clock::Instant;
 /// part in the group's rebalances (cooperative or eager, see assignment.h), gives assigned partitions to the reader,
 /// and commits. Not thread safe: only the groups' thread calls it, so that no
 /// handler can hold up the group.
-class Group {
+class ConsumerGroup {
  public:
   /// \param wake is signalled when there is an event to serve
-  Group(const KafkaOptions& options, std::shared_ptr<PartitionReader> reader, std::shared_ptr<Member> member,
-        const config::Clock& clock, ConnectionLog& log, client::WakeEvent& wake);
-  ~Group();
-  Group(const Group&) = delete;
-  Group& operator=(const Group&) = delete;
+  ConsumerGroup(const KafkaOptions& options, std::shared_ptr<PartitionReader> reader,
+                std::shared_ptr<GroupMember> member, const config::Clock& clock, ConnectionLog& log,
+                client::WakeEvent& wake);
+  ~ConsumerGroup();
+  ConsumerGroup(const ConsumerGroup&) = delete;
+  ConsumerGroup& operator=(const ConsumerGroup&) = delete;
 
-  const std::shared_ptr<Member>& member() const { return member_; }
+  const std::shared_ptr<GroupMember>& member() const { return member_; }
   /// Does what is due; waits for servers' answers, at most some seconds. \return how long it takes until something is
   /// due
   std::chrono::milliseconds serve();
@@ -69,14 +70,14 @@ class Group {
 
   const KafkaOptions& options_;
   const std::shared_ptr<PartitionReader> reader_;
-  const std::shared_ptr<Member> member_;
+  const std::shared_ptr<GroupMember> member_;
   const config::Clock& clock_;
   ConnectionLog& log_;
   client::WakeEvent& wake_;
 
   std::chrono::milliseconds session_;
   Renewal renewal_;
-  std::shared_ptr<Client> client_;
+  std::shared_ptr<KafkaClient> client_;
   Queue events_;
   bool connected_ = false;
   Instant doubted_at_{};  ///< when a connection failed; since then the group looks for a server. Zero: none failed

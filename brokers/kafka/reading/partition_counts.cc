@@ -19,7 +19,7 @@ constexpr std::chrono::milliseconds longest_answer{2000};  // the destructor may
 PartitionCounts::PartitionCounts(const KafkaOptions& options, const config::Clock& clock)
     : options_(options),
       clock_(clock),
-      renewal_(options, [this] { return std::make_shared<Client>(RD_KAFKA_CONSUMER, options_, Settings{}, 0); }) {}
+      renewal_(options, [this] { return std::make_shared<KafkaClient>(RD_KAFKA_CONSUMER, options_, Settings{}, 0); }) {}
 
 PartitionCounts::~PartitionCounts() {
   std::thread thread;

@@ -54,7 +54,7 @@ class PartitionCounts {
   std::map<int, Follower> followers_ IOTCLOUD_GUARDED_BY(mutex_);
   config::ThreadRole on_thread_;
   Renewal renewal_ IOTCLOUD_GUARDED_BY(on_thread_);
-  std::shared_ptr<Client> client_ IOTCLOUD_GUARDED_BY(on_thread_);
+  std::shared_ptr<KafkaClient> client_ IOTCLOUD_GUARDED_BY(on_thread_);
   std::thread thread_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 

@@ -22,21 +22,21 @@ constexpr std::chrono::microseconds longest_gathering{200};
 constexpr std::size_t longest_window = 65536;
 
 /// The first subscription to a topic reads it.
-std::shared_ptr<TopicSubscriber> reader_of(const Member& member, const std::string& topic) {
+std::shared_ptr<TopicSubscriber> reader_of(const GroupMember& member, const std::string& topic) {
   const auto found = std::find_if(member.subscribers.begin(), member.subscribers.end(),
                                   [&](const auto& subscriber) { return subscriber->topic.name == topic; });
   return found == member.subscribers.end() ? nullptr : *found;
 }
 
 void on_news(rd_kafka_t*, void* opaque) {
-  auto& feed = *static_cast<Feed*>(opaque);
-  feed.reader->news(std::static_pointer_cast<Feed>(feed.shared_from_this()));
+  auto& feed = *static_cast<PartitionFeed*>(opaque);
+  feed.reader->news(std::static_pointer_cast<PartitionFeed>(feed.shared_from_this()));
 }
 
 }  // namespace
 
-Feed::Feed(std::shared_ptr<PartitionReader> to, std::shared_ptr<Member> of, std::shared_ptr<Client> from,
-           PartitionKey what, Progress how_far)
+PartitionFeed::PartitionFeed(std::shared_ptr<PartitionReader> to, std::shared_ptr<GroupMember> of,
+                             std::shared_ptr<KafkaClient> from, PartitionKey what, Progress how_far)
     : FeedProgress{std::move(how_far)},
       DeliveryStream(nullptr, progress.window()),
       reader(std::move(to)),
@@ -45,7 +45,7 @@ Feed::Feed(std::shared_ptr<PartitionReader> to, std::shared_ptr<Member> of, std:
       client(std::move(from)),
       queue(rd_kafka_queue_get_partition(client->get(), key.first.c_str(), key.second)) {}
 
-void Feed::settle(std::uint64_t tag, Settlement settlement) noexcept {
+void PartitionFeed::settle(std::uint64_t tag, Settlement settlement) noexcept {
   reader->settle(*this, tag, settlement);
 }
 
@@ -77,7 +77,7 @@ void PartitionReader::close() {
   news_.clear();
 }
 
-void PartitionReader::news(std::shared_ptr<Feed> feed) {
+void PartitionReader::news(std::shared_ptr<PartitionFeed> feed) {
   {
     const config::MutexLock lock(news_mutex_);
     news_.push_back(std::move(feed));
@@ -90,7 +90,7 @@ void PartitionReader::wake() noexcept {
   if (std::exchange(sleeping_, false)) wake_event_.signal();
 }
 
-bool PartitionReader::has_room(const Feed& feed) {
+bool PartitionReader::has_room(const PartitionFeed& feed) {
   if (feed.window.size() >= longest_window) return false;
   const TopicSubscriber& subscriber = *feed.reads_it();
   const std::size_t prefetch = std::max<std::size_t>(subscriber.prefetch, 1);
@@ -99,13 +99,13 @@ bool PartitionReader::has_room(const Feed& feed) {
   return subscriber.unsettled - newest < prefetch;
 }
 
-void PartitionReader::settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept {
+void PartitionReader::settle(PartitionFeed& feed, std::uint64_t public_tag, Settlement settlement) noexcept {
   const config::MutexLock lock(core_.mutex);
   core_.settle(feed, public_tag, settlement);
 }
 
 void PartitionReader::settled(client::DeliveryStream& stream, bool first) noexcept {
-  auto& feed = static_cast<Feed&>(stream);
+  auto& feed = static_cast<PartitionFeed&>(stream);
   --feed.reads_it()->unsettled;
   if (first) on_dirty_();
   // Other partitions of the subscription may wait for the same room.
@@ -136,7 +136,7 @@ void PartitionReader::run() {
 }
 
 void PartitionReader::take_news() {
-  std::vector<std::shared_ptr<Feed>> news;
+  std::vector<std::shared_ptr<PartitionFeed>> news;
   {
     const config::MutexLock lock(news_mutex_);
     news.swap(news_);
@@ -148,7 +148,7 @@ void PartitionReader::take_news() {
 }
 
 bool PartitionReader::fetch(client::DeliveryStream& stream) {
-  auto& feed = static_cast<Feed&>(stream);
+  auto& feed = static_cast<PartitionFeed&>(stream);
   for (std::size_t i = 0; i < records_in_a_row && has_room(feed); ++i) {
     rd_kafka_message_t* record = rd_kafka_consume_queue(feed.queue.get(), 0);
     if (record == nullptr) {
@@ -162,7 +162,7 @@ bool PartitionReader::fetch(client::DeliveryStream& stream) {
   return has_room(feed);
 }
 
-void PartitionReader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) {
+void PartitionReader::take(PartitionFeed& feed, std::shared_ptr<const rd_kafka_message_t> record) {
   if (record->err != RD_KAFKA_RESP_ERR_NO_ERROR) {
     logger.warn("topic {}, partition {}: {}", feed.key.first, feed.key.second, rd_kafka_message_errstr(record.get()));
     return;
@@ -200,7 +200,7 @@ void PartitionReader::take(Feed& feed, std::shared_ptr<const rd_kafka_message_t>
   core_.conflate(feed);
 }
 
-void PartitionReader::skip(Feed& feed, std::int64_t offset) {
+void PartitionReader::skip(PartitionFeed& feed, std::int64_t offset) {
   feed.progress.skipped(offset);
   if (core_.make_dirty(feed)) on_dirty_();
 }
@@ -218,7 +218,7 @@ void PartitionReader::hand_on(Gathering& gathering) {
   }
 }
 
-void PartitionReader::give_to(Feed& feed, std::shared_ptr<TopicSubscriber> subscriber) {
+void PartitionReader::give_to(PartitionFeed& feed, std::shared_ptr<TopicSubscriber> subscriber) {
   if (feed.subscriber == subscriber) return;
   if (feed.subscriber) feed.reads_it()->unsettled -= feed.progress.unsettled();
   feed.take_back();
@@ -229,7 +229,7 @@ void PartitionReader::give_to(Feed& feed, std::shared_ptr<TopicSubscriber> subsc
 
 void PartitionReader::add(const std::shared_ptr<TopicSubscriber>& subscriber) {
   const config::MutexLock lock(core_.mutex);
-  Member& member = *subscriber->member;
+  GroupMember& member = *subscriber->member;
   member.subscribers.push_back(subscriber);
   for (const auto& [key, feed] : member.feeds) {
     if (key.first == subscriber->topic.name && !feed->subscriber) give_to(*feed, subscriber);
@@ -239,7 +239,7 @@ void PartitionReader::add(const std::shared_ptr<TopicSubscriber>& subscriber) {
 
 void PartitionReader::remove(const std::shared_ptr<TopicSubscriber>& subscriber) {
   const config::MutexLock lock(core_.mutex);
-  Member& member = *subscriber->member;
+  GroupMember& member = *subscriber->member;
   core_.end(*subscriber);
   std::erase(member.subscribers, subscriber);
   for (const auto& [key, feed] : member.feeds) {
@@ -299,22 +299,22 @@ std::optional<std::uint64_t> PartitionReader::backlog(const TopicSubscriber& sub
   return sum;
 }
 
-std::set<std::string> PartitionReader::topics(const Member& member) const {
+std::set<std::string> PartitionReader::topics(const GroupMember& member) const {
   const config::MutexLock lock(core_.mutex);
   std::set<std::string> names;
   for (const auto& subscriber : member.subscribers) names.insert(subscriber->topic.name);
   return names;
 }
 
-std::int64_t PartitionReader::handed_on(const Member& member, const PartitionKey& key) const {
+std::int64_t PartitionReader::handed_on(const GroupMember& member, const PartitionKey& key) const {
   const config::MutexLock lock(core_.mutex);
   const auto found = handed_on_.find({member.name, key});
   return found == handed_on_.end() ? 0 : found->second;
 }
 
-void PartitionReader::assigned(const std::shared_ptr<Feed>& feed) {
+void PartitionReader::assigned(const std::shared_ptr<PartitionFeed>& feed) {
   const config::MutexLock lock(core_.mutex);
-  Member& member = *feed->member;
+  GroupMember& member = *feed->member;
   member.feeds[feed->key] = feed;
   feed->withheld = !member.connected;
   // Do not forward records to the group's queue, where they would wait for the groups' thread.
@@ -327,7 +327,7 @@ void PartitionReader::assigned(const std::shared_ptr<Feed>& feed) {
   on_dirty_();
 }
 
-std::vector<CommitOf> PartitionReader::leave(Member& member, const std::set<PartitionKey>& keys,
+std::vector<CommitOf> PartitionReader::leave(GroupMember& member, const std::set<PartitionKey>& keys,
                                              std::chrono::milliseconds limit) {
   const config::MutexLock lock(core_.mutex);
   std::vector<std::shared_ptr<client::DeliveryStream>> leaving;
@@ -339,7 +339,7 @@ std::vector<CommitOf> PartitionReader::leave(Member& member, const std::set<Part
   core_.await_handlers(leaving, clock_.now() + limit);
   std::vector<CommitOf> commits;
   for (const auto& stream : leaving) {
-    auto& feed = static_cast<Feed&>(*stream);
+    auto& feed = static_cast<PartitionFeed&>(*stream);
     give_to(feed, nullptr);
     core_.forget(feed);
     handed_on_[{member.name, feed.key}] = feed.progress.handed_on();
@@ -352,7 +352,7 @@ std::vector<CommitOf> PartitionReader::leave(Member& member, const std::set<Part
   return commits;
 }
 
-std::vector<CommitOf> PartitionReader::take_commits(Member& member) {
+std::vector<CommitOf> PartitionReader::take_commits(GroupMember& member) {
   const config::MutexLock lock(core_.mutex);
   std::vector<CommitOf> commits;
   for (const auto& [key, feed] : member.feeds) {
@@ -365,18 +365,18 @@ std::vector<CommitOf> PartitionReader::take_commits(Member& member) {
   return commits;
 }
 
-bool PartitionReader::dirty(const Member& member) const {
+bool PartitionReader::dirty(const GroupMember& member) const {
   const config::MutexLock lock(core_.mutex);
   return std::any_of(member.feeds.begin(), member.feeds.end(),
                      [](const auto& entry) { return entry.second->in_dirty; });
 }
 
-bool PartitionReader::connected(const Member& member) const {
+bool PartitionReader::connected(const GroupMember& member) const {
   const config::MutexLock lock(core_.mutex);
   return member.connected;
 }
 
-void PartitionReader::commit_failed(Member& member, const PartitionKey& key) {
+void PartitionReader::commit_failed(GroupMember& member, const PartitionKey& key) {
   const config::MutexLock lock(core_.mutex);
   const auto found = member.feeds.find(key);
   if (found == member.feeds.end()) return;
@@ -384,7 +384,7 @@ void PartitionReader::commit_failed(Member& member, const PartitionKey& key) {
   core_.make_dirty(*found->second);
 }
 
-void PartitionReader::set_connected(Member& member, bool connected) {
+void PartitionReader::set_connected(GroupMember& member, bool connected) {
   const config::MutexLock lock(core_.mutex);
   if (std::exchange(member.connected, connected) == connected) return;
   for (const auto& [key, feed] : member.feeds) {

@@ -27,8 +27,8 @@ struct CommitOf {
 };
 
 /// Takes records from the partitions that the groups assigned to this process, and runs the handlers, all on one
-/// thread: the transport of a ReadCore. Group serves the group protocol on another thread, so a handler that runs long
-/// does not delay it. Thread safe.
+/// thread: the transport of a ReadCore. ConsumerGroup serves the group protocol on another thread, so a handler that
+/// runs long does not delay it. Thread safe.
 class PartitionReader final : client::ReadTransport, public std::enable_shared_from_this<PartitionReader> {
  public:
   /// \param native every record has a bare body. \param on_dirty called from any thread when there is something new to
@@ -52,29 +52,29 @@ class PartitionReader final : client::ReadTransport, public std::enable_shared_f
   /// not known.
   std::optional<std::uint64_t> backlog(const TopicSubscriber& subscriber) const;
   bool active(const TopicSubscriber& subscriber) const;
-  void settle(Feed& feed, std::uint64_t public_tag, Settlement settlement) noexcept;
+  void settle(PartitionFeed& feed, std::uint64_t public_tag, Settlement settlement) noexcept;
 
   // For groups.
   /// The topics that have a reader.
-  std::set<std::string> topics(const Member& member) const;
+  std::set<std::string> topics(const GroupMember& member) const;
   /// The first offset of a partition that this process has not handed on in this group; 0 if it never had the
   /// partition.
-  std::int64_t handed_on(const Member& member, const PartitionKey& key) const;
+  std::int64_t handed_on(const GroupMember& member, const PartitionKey& key) const;
   /// A partition was assigned: its records are handed on from now on.
-  void assigned(const std::shared_ptr<Feed>& feed);
+  void assigned(const std::shared_ptr<PartitionFeed>& feed);
   /// Partitions are revoked: waits for their handlers, at most `limit`; afterwards none of their messages is handed on
   /// or settled. \return what to commit
-  std::vector<CommitOf> leave(Member& member, const std::set<PartitionKey>& keys, std::chrono::milliseconds limit);
-  std::vector<CommitOf> take_commits(Member& member);
+  std::vector<CommitOf> leave(GroupMember& member, const std::set<PartitionKey>& keys, std::chrono::milliseconds limit);
+  std::vector<CommitOf> take_commits(GroupMember& member);
   /// Whether take_commits() may have something.
-  bool dirty(const Member& member) const;
-  void commit_failed(Member& member, const PartitionKey& key);
+  bool dirty(const GroupMember& member) const;
+  void commit_failed(GroupMember& member, const PartitionKey& key);
   /// While not connected nothing is handed on. Messages that were unsettled when the connection broke are handed on
   /// again.
-  void set_connected(Member& member, bool connected);
-  bool connected(const Member& member) const;
+  void set_connected(GroupMember& member, bool connected);
+  bool connected(const GroupMember& member) const;
   /// There may be records in the feed's queue. Called from the library's threads.
-  void news(std::shared_ptr<Feed> feed);
+  void news(std::shared_ptr<PartitionFeed> feed);
 
  private:
   // The ReadTransport.
@@ -84,11 +84,11 @@ class PartitionReader final : client::ReadTransport, public std::enable_shared_f
 
   void run();
   void take_news() IOTCLOUD_REQUIRES(core_.mutex);
-  static bool has_room(const Feed& feed);
-  void take(Feed& feed, std::shared_ptr<const rd_kafka_message_t> record) IOTCLOUD_REQUIRES(core_.mutex);
-  void skip(Feed& feed, std::int64_t offset) IOTCLOUD_REQUIRES(core_.mutex);
+  static bool has_room(const PartitionFeed& feed);
+  void take(PartitionFeed& feed, std::shared_ptr<const rd_kafka_message_t> record) IOTCLOUD_REQUIRES(core_.mutex);
+  void skip(PartitionFeed& feed, std::int64_t offset) IOTCLOUD_REQUIRES(core_.mutex);
   void hand_on(Gathering& gathering) IOTCLOUD_REQUIRES(core_.mutex);
-  void give_to(Feed& feed, std::shared_ptr<TopicSubscriber> subscriber) IOTCLOUD_REQUIRES(core_.mutex);
+  void give_to(PartitionFeed& feed, std::shared_ptr<TopicSubscriber> subscriber) IOTCLOUD_REQUIRES(core_.mutex);
 
   const bool native_;
   Meters& meters_;
@@ -98,7 +98,7 @@ class PartitionReader final : client::ReadTransport, public std::enable_shared_f
 
   /// Locked while the library holds its own mutexes, so the holder calls nothing.
   config::Mutex news_mutex_;
-  std::vector<std::shared_ptr<Feed>> news_ IOTCLOUD_GUARDED_BY(news_mutex_);
+  std::vector<std::shared_ptr<PartitionFeed>> news_ IOTCLOUD_GUARDED_BY(news_mutex_);
 
   ReadCore core_;
   bool closing_ IOTCLOUD_GUARDED_BY(core_.mutex) = false;

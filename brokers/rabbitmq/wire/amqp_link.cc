@@ -75,7 +75,7 @@ std::string describe(const amqp_connection_close_t& closed) {
   return fmt::format("{} {}", closed.reply_code, to_string(closed.reply_text));
 }
 
-AmqpLink::AmqpLink(const LinkOptions& options) : state_(amqp_new_connection()), tls_(wants_tls(options.url)) {
+AmqpLink::AmqpLink(const AmqpLinkOptions& options) : state_(amqp_new_connection()), tls_(wants_tls(options.url)) {
   if (!state_) throw LinkError("out of memory");
   amqp_socket_t* socket = make_socket(state_.get(), options.url, options.tls);
   const timeval limit = to_timeval(options.rpc_timeout);

@@ -23,7 +23,7 @@ class LinkError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
-struct LinkOptions {
+struct AmqpLinkOptions {
   BrokerUrl url;  ///< with the effective user and password
   Tls tls;        ///< when the URL's scheme is "amqps"
   std::chrono::milliseconds heartbeat{4000};
@@ -38,7 +38,7 @@ struct LinkOptions {
 class AmqpLink {
  public:
   /// Connects and logs in; waits at most twice the time-out.
-  explicit AmqpLink(const LinkOptions& options);
+  explicit AmqpLink(const AmqpLinkOptions& options);
   /// Closes the socket without AMQP's closing handshake: call close() first if the server must keep what was sent.
   ~AmqpLink();
   AmqpLink(const AmqpLink&) = delete;

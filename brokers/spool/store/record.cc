@@ -29,9 +29,9 @@ void put_text(std::string& to, std::string_view text) {
 }
 
 /// Reads fields from the front of a record's body.
-class Fields {
+class RecordFields {
  public:
-  explicit Fields(Bytes bytes) : left_(bytes) {}
+  explicit RecordFields(Bytes bytes) : left_(bytes) {}
 
   template <typename Number>
   bool number(Number& into) {
@@ -54,7 +54,7 @@ class Fields {
 };
 
 bool decode_body(Bytes body, Record& record) {
-  Fields fields(body);
+  RecordFields fields(body);
   std::uint32_t properties = 0;
   Message& message = record.message;
   if (!fields.number(record.sequence) || !fields.number(record.accepted_ms) || !fields.number(message.time_ms) ||

@@ -115,7 +115,7 @@ class CoreTransport final : public PublishTransport {
 
   std::size_t space = 1000;                       ///< messages that fit into the socket's buffer
   std::function<void()> meanwhile;                ///< called once, while a message is sent
-  std::map<std::string, Lane> lanes;              ///< by topic, of topics that have their own
+  std::map<std::string, PublishLane> lanes;       ///< by topic, of topics that have their own
   std::map<std::string, std::size_t> lane_space;  ///< messages that may be sent of such a topic
   std::string nowhere;                            ///< this topic has no way to the server
   int wanted = 0;                                 ///< so often somebody waited for answers

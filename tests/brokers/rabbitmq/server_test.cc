@@ -31,7 +31,7 @@ class RabbitMqServer : public BrokerContract {
  protected:
   /// A separate client, which acts as an operator or a foreign program.
   std::unique_ptr<rabbitmq::AmqpLink> operator_link() const {
-    rabbitmq::LinkOptions options;
+    rabbitmq::AmqpLinkOptions options;
     options.url = parse_broker_url(server().url());
     options.purpose = "test";
     auto link = std::make_unique<rabbitmq::AmqpLink>(options);
