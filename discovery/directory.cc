@@ -54,7 +54,7 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
   void end() {
     GuardPtr watch;  // destroyed after `turn` is unlocked: their destructors wait for callbacks, which lock it
     std::map<InstanceId, Instance> dying;
-    const TurnLock lock(turn);
+    const DispatchTurnLock lock(turn);
     over = true;
     watch.swap(list_watch);
     dying.swap(instances);

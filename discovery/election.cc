@@ -52,7 +52,7 @@ struct Election::Impl : TakesTurns<Impl> {
   void end() {
     // destroyed after `turn` is unlocked: their destructors wait for callbacks, which lock it
     std::array<GuardPtr, 5> dying;
-    const TurnLock lock(turn);
+    const DispatchTurnLock lock(turn);
     over = true;
     set_lead(std::nullopt);
     dying = {std::move(session_listener), std::move(predecessor_watch), std::move(list_watch), std::move(own_watch),

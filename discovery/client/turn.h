@@ -10,11 +10,11 @@ namespace iotcloud::discovery {
 /// A mutex that is held while the dispatcher runs a callback of one directory or election, so that the object's
 /// destructor waits for the callback. The dispatcher runs one callback at a time, so only destructors ever wait. The
 /// mutex is recursive because a user's callback may destroy its own object.
-class IOTCLOUD_CAPABILITY("turn") Turn {
+class IOTCLOUD_CAPABILITY("turn") DispatchTurn {
  public:
-  Turn() = default;
-  Turn(const Turn&) = delete;
-  Turn& operator=(const Turn&) = delete;
+  DispatchTurn() = default;
+  DispatchTurn(const DispatchTurn&) = delete;
+  DispatchTurn& operator=(const DispatchTurn&) = delete;
 
   void lock() IOTCLOUD_ACQUIRE() { mutex_.lock(); }
   void unlock() IOTCLOUD_RELEASE() { mutex_.unlock(); }
@@ -27,15 +27,15 @@ class IOTCLOUD_CAPABILITY("turn") Turn {
 };
 
 /// Holds a turn to the end of the scope.
-class IOTCLOUD_SCOPED_CAPABILITY TurnLock {
+class IOTCLOUD_SCOPED_CAPABILITY DispatchTurnLock {
  public:
-  explicit TurnLock(Turn& turn) IOTCLOUD_ACQUIRE(turn) : turn_(turn) { turn_.lock(); }
-  ~TurnLock() IOTCLOUD_RELEASE() { turn_.unlock(); }
-  TurnLock(const TurnLock&) = delete;
-  TurnLock& operator=(const TurnLock&) = delete;
+  explicit DispatchTurnLock(DispatchTurn& turn) IOTCLOUD_ACQUIRE(turn) : turn_(turn) { turn_.lock(); }
+  ~DispatchTurnLock() IOTCLOUD_RELEASE() { turn_.unlock(); }
+  DispatchTurnLock(const DispatchTurnLock&) = delete;
+  DispatchTurnLock& operator=(const DispatchTurnLock&) = delete;
 
  private:
-  Turn& turn_;
+  DispatchTurn& turn_;
 };
 
 /// Base of an object whose callbacks the dispatcher runs, each with the object's turn. \tparam Self the class that
@@ -49,12 +49,12 @@ struct TakesTurns : std::enable_shared_from_this<Self> {
     return [weak = this->weak_from_this(), function](const auto& argument) {
       const auto self = weak.lock();
       if (!self) return;
-      const TurnLock lock(self->turn);
+      const DispatchTurnLock lock(self->turn);
       if (!self->over) function(*self, argument);
     };
   }
 
-  Turn turn;
+  DispatchTurn turn;
   bool over IOTCLOUD_GUARDED_BY(turn) = false;  ///< the object has ended
 };
 

@@ -20,10 +20,10 @@ namespace {
 constexpr std::size_t progress_step = 1000;  ///< nodes
 
 /// A session for one piece of work that waits for each answer.
-class Session {
+class RightsSession {
  public:
-  Session(const Settings& settings, std::chrono::milliseconds limit) {
-    handle_ = zookeeper_init2(settings.url.hosts.c_str(), &Session::on_event,
+  RightsSession(const Settings& settings, std::chrono::milliseconds limit) {
+    handle_ = zookeeper_init2(settings.url.hosts.c_str(), &RightsSession::on_event,
                               static_cast<int>(settings.session_timeout.count()), nullptr, this, ZOO_NO_LOG_CLIENTENV,
                               [](const char* message) { logger.debug("{}", message); });
     if (handle_ == nullptr)
@@ -35,9 +35,9 @@ class Session {
     throw config::Error(fmt::format("the registry {} does not answer within {} s: is its server running?",
                                     settings.url.hosts, limit.count() / 1000));
   }
-  ~Session() { zookeeper_close(handle_); }
-  Session(const Session&) = delete;
-  Session& operator=(const Session&) = delete;
+  ~RightsSession() { zookeeper_close(handle_); }
+  RightsSession(const RightsSession&) = delete;
+  RightsSession& operator=(const RightsSession&) = delete;
 
   zhandle_t* get() const { return handle_; }
 
@@ -48,7 +48,7 @@ class Session {
   }
   static void on_event(zhandle_t* /*handle*/, int type, int state, const char* /*path*/, void* self) {
     if (type != ZOO_SESSION_EVENT || state != ZOO_CONNECTED_STATE) return;
-    auto* const session = static_cast<Session*>(self);
+    auto* const session = static_cast<RightsSession*>(self);
     const config::MutexLock lock(session->mutex_);
     session->connected_ = true;
     session->changed_.notify_all();
@@ -61,10 +61,10 @@ class Session {
 };
 
 /// The walk over the nodes.
-class Renewal {
+class RightsRenewal {
  public:
-  Renewal(const Settings& settings, const Paths& paths, std::chrono::milliseconds limit,
-          const std::function<void(std::size_t)>& progress)
+  RightsRenewal(const Settings& settings, const Paths& paths, std::chrono::milliseconds limit,
+                const std::function<void(std::size_t)>& progress)
       : settings_(settings), paths_(paths), progress_(progress), session_(settings, limit) {}
 
   RenewedRights run() {
@@ -164,7 +164,7 @@ class Renewal {
   const Settings& settings_;
   const Paths& paths_;
   const std::function<void(std::size_t)>& progress_;
-  Session session_;
+  RightsSession session_;
   RenewedRights done_;
 };
 
@@ -195,7 +195,7 @@ bool NodeRights::are(const ACL_vector& of_node) const {
 
 RenewedRights renew_rights(const Settings& settings, const Paths& paths, std::chrono::milliseconds limit,
                            const std::function<void(std::size_t)>& progress) {
-  return Renewal(settings, paths, limit, progress).run();
+  return RightsRenewal(settings, paths, limit, progress).run();
 }
 
 }  // namespace iotcloud::discovery::zookeeper
