@@ -117,7 +117,8 @@ class ActiveMq(private_server.Server):
             store_password=quoted(certificates.STORE_PASSWORD))
 
     def command(self):
-        return ["java", *self.jvm, *private_server.JVM_OPTIONS, "-cp", self.class_path,
+        return ["java", *self.jvm, *private_server.JVM_OPTIONS, *maven_jars.shared_classes("activemq", self.jvm),
+                "-cp", self.class_path,
                 "org.apache.activemq.console.command.ShellCommand", "start", "xbean:file:" + self.config]
 
     def environment(self):

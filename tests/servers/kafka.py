@@ -119,7 +119,7 @@ class Kafka(private_server.Server):
         return "localhost" if self.certificates else "127.0.0.1"
 
     def java(self, main, *arguments):
-        return ["java", *self.jvm, *private_server.JVM_OPTIONS,
+        return ["java", *self.jvm, *private_server.JVM_OPTIONS, *maven_jars.shared_classes("kafka", self.jvm),
                 "-Dorg.slf4j.simpleLogger.log.org.apache.kafka.common.config=warn",
                 "-Dorg.slf4j.simpleLogger.log.kafka.server.KafkaConfig=warn",
                 "-cp", self.class_path, main, *arguments]

@@ -41,6 +41,19 @@ def fetch(name):
     return os.path.join(folder, "*")
 
 
+def archive_of(name):
+    """Where share_classes.py keeps what it made; it goes with the jars."""
+    return os.path.join(os.path.realpath(os.path.join(FETCHED, name)), "classes.jsa")
+
+
+def shared_classes(name, jvm):
+    """Options that let a JVM for tests read its classes from the archive, if there is one. A JVM of another version starts
+    without it (-Xshare:auto)."""
+    archive = archive_of(name)
+    fits = set(private_server.SMALL_JVM).issubset(jvm)
+    return ["-XX:SharedArchiveFile=" + archive] if fits and os.path.exists(archive) else []
+
+
 def copy(name, pom, folder):
     command = ["mvn", "-B", "-q", "-f", pom, "dependency:copy-dependencies", "-DincludeScope=runtime",
                "-DoutputDirectory=" + folder]

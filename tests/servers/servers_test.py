@@ -11,8 +11,11 @@ import subprocess
 import sys
 import tempfile
 import unittest
+import unittest.mock
 from pathlib import Path
 
+import maven_jars
+import private_server
 from leftovers import left_behind
 
 HERE = Path(__file__).resolve().parent
@@ -163,7 +166,8 @@ class FetchTest(unittest.TestCase):
             code = (f"import sys; sys.path.insert(0, {str(HERE)!r}); import maven_jars, private_server\n"
                     f"maven_jars.FETCHED = {folder!r}\nprivate_server.run(lambda: maven_jars.fetch('kafka'))")
             done = subprocess.run(["/usr/bin/python3", "-c", code], stdin=subprocess.DEVNULL, capture_output=True,
-                                  text=True, env={**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "CI": ci})
+                                  text=True, env={**os.environ, "PATH": f"{folder}:{os.environ['PATH']}", "CI": ci,
+                                       "IOTCLOUD_TEST_LABELS": ""})  # no server starts, and nothing is fetched
             return done.stdout.strip(), done.returncode
 
     def test_a_registry_that_cannot_be_reached_skips(self):
@@ -180,6 +184,17 @@ class FetchTest(unittest.TestCase):
         answer, status = self.fetch("Non-parseable POM", "")
         self.assertRegex(answer, "^ERROR ")
         self.assertEqual(status, 1)
+
+    def test_only_a_server_for_tests_reads_its_classes_from_the_archive_and_only_if_there_is_one(self):
+        with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder, \
+                unittest.mock.patch.object(maven_jars, "FETCHED", folder):
+            self.assertEqual(maven_jars.shared_classes("kafka", private_server.QUICK_START), [])
+            archive = Path(folder, "kafka", "classes.jsa")
+            archive.parent.mkdir()
+            archive.touch()
+            self.assertEqual(maven_jars.shared_classes("kafka", private_server.QUICK_START),
+                             [f"-XX:SharedArchiveFile={archive.resolve()}"])
+            self.assertEqual(maven_jars.shared_classes("kafka", private_server.THROUGHPUT), [])
 
 
 if __name__ == "__main__":
