@@ -25,6 +25,9 @@ function(iotcloud_precompiled target kind)
     target_precompile_headers(${header} PRIVATE ${_iotcloud_precompiled_${kind}})
   endif()
   target_precompile_headers(${target} REUSE_FROM ${header})
+  # GCC looks for garbage whenever 128 MB are in use, and looks through the whole precompiled header each time: a seventh
+  # of its time. Few sources use 512 MB.
+  target_compile_options(${target} PRIVATE $<$<CXX_COMPILER_ID:GNU>:--param=ggc-min-heapsize=524288>)
   # If a definition of the target affects the header, the compiler reads its text instead, without a warning.
   set_target_properties(${target} PROPERTIES PCH_WARN_INVALID OFF)
 endfunction()
