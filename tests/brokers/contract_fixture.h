@@ -23,7 +23,7 @@ namespace iotcloud::brokers {
 using tests::patience;
 /// How long a test checks that something forbidden does not come.
 inline constexpr std::chrono::milliseconds moment{300};
-/// The heartbeat of BrokerContract::broker(). A server gives a silent client up after two of them, and looks once in each.
+/// Of BrokerContract::broker(). A server gives a silent client up after two heartbeats, and looks once in each.
 inline constexpr std::chrono::seconds contract_heartbeat{2};
 inline constexpr std::chrono::milliseconds given_up_after = 3 * contract_heartbeat;
 
