@@ -4,24 +4,28 @@ import os
 import sys
 import tempfile
 import unittest
+import unittest.mock
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
 
 import record  # noqa: E402
 
-# Takes memory in its first step, and none in its second.
+# Takes memory in its first step, and none in its second; each ends when the test has looked.
 COMMAND = """
 import os, sys, time
-steps = sys.argv[1]
+steps, folder = sys.argv[1:]
+def wait_for(file):
+    while not os.path.exists(os.path.join(folder, file)):
+        time.sleep(0.01)
 def end(name):
     with open(steps, "a") as file:
         file.write("1\\t" + name + "\\t0.5\\t2\\n")
 taken = bytearray(os.urandom(1 << 20) * 200)
-time.sleep(2.5)
+wait_for("seen_big")
 del taken
 end("big")
-time.sleep(2.5)
+wait_for("seen_small")
 end("small")
 sys.exit(3)
 """
@@ -32,11 +36,23 @@ class RecordTest(unittest.TestCase):
         folder = tempfile.TemporaryDirectory(prefix="iotcloud-record-")
         self.addCleanup(folder.cleanup)
         self.folder = Path(folder.name)
-        self.addCleanup(setattr, record, "STEPS", record.STEPS)
-        record.STEPS = self.folder / "steps.tsv"
+        for name, value in (("STEPS", self.folder / "steps.tsv"), ("PERIOD_S", 0.05)):
+            self.enterContext(unittest.mock.patch.object(record, name, value))
 
     def test_each_step_has_its_own_most_memory_and_a_failure_is_told(self):
-        status, rows, _ = record.run([sys.executable, "-c", COMMAND, str(record.STEPS)], dict(os.environ))
+        measure = record.memory_mb
+
+        def look(pid):
+            memory = measure(pid)
+            if memory > 200:
+                (self.folder / "seen_big").touch()
+            elif record.steps() and memory > 0:
+                (self.folder / "seen_small").touch()
+            return memory
+
+        with unittest.mock.patch.object(record, "memory_mb", look):
+            status, rows, _ = record.run([sys.executable, "-c", COMMAND, str(record.STEPS), str(self.folder)],
+                                         dict(os.environ))
         self.assertEqual(status, 3)
         self.assertEqual([row[0] for row in rows], ["big", "small", "whole (failed: 3)"])
         big, small, whole = (row[3] for row in rows)
