@@ -92,6 +92,15 @@ TEST_F(GatewayConfigTest, WhatHostsGiveUpIsRead) {
   EXPECT_EQ(loose.hosts.confinement.open_files, 100u);
 }
 
+TEST_F(GatewayConfigTest, HostsMayReadTheFilesOfTheirBrokers) {
+  const auto config = load(with("brokers",
+                                "brokers: {rabbitmq: {urls: [\"amqp://a/\"], user: u, password_file: /of/u, "
+                                "properties: {reader: r, reader_password_file: /of/r}}}\n"
+                                "host_files: {write: [/tmp]}"));
+  ASSERT_TRUE(config.hosts.confinement.files);
+  EXPECT_THAT(config.hosts.confinement.files->read, testing::IsSupersetOf({"/of/u", "/of/r"}));
+}
+
 TEST_F(GatewayConfigTest, ThePortsOfHostsAreForAllAndForSinglePlugins) {
   EXPECT_TRUE(load(with("hosts", "")).hosts.ports.empty());
   const std::string good = "host_ports: {all: [5672, 53], camera.so: [554]}";
