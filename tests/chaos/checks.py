@@ -35,6 +35,8 @@ def not_converged(cluster, instances, orders):
         states = {driver["instance"]: driver["state"] for driver in drivers}
         why += [f"{instance[:8]} is {states.get(instance, 'not there')}" for instance in instances
                 if states.get(instance) != "active"]
+        why += [f"{instance[:8]} is listed {times} times" for instance, times in
+                collections.Counter(driver["instance"] for driver in drivers).items() if times > 1]
         why += orders.untrue(drivers)
         known = {instance for instance in instances} | {driver["instance"] for driver in drivers
                                                        if driver["name"] in orders.guests}

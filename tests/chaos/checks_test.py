@@ -69,6 +69,12 @@ class Converged(unittest.TestCase):
         del self.drivers[0]
         self.assertEqual(self.why(), ["stays-1 is not there"])
 
+    def test_is_none_with_an_instance_that_is_listed_twice(self):
+        for driver in list(self.drivers):
+            self.setUp()
+            self.drivers.append(dict(driver))
+            self.assertEqual(self.why(), [f"{driver['instance'][:8]} is listed 2 times"])
+
     def test_is_none_that_is_not_as_the_command_line_answered(self):
         self.untrue = ["guest-1 is active; after what the command line answered it is inactive"]
         self.assertEqual(self.why(), self.untrue)
