@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <optional>
@@ -49,6 +50,11 @@ struct GatewayStatus {
   std::string frozen{};   ///< why it follows no orders (freeze.h); empty: it follows them
   bool draining = false;  ///< takes no new instances, and has stopped its own
   bool original = false;  ///< a gateway of the original system, which the master calls instead; set by the master
+  static constexpr const char* what = "the status of a gateway";
+  static constexpr auto fields =
+      std::tuple_cat(IOTCLOUD_FIELDS_OF(record, GatewayRecord),
+                     std::tuple{IOTCLOUD_FIELD(alive, usual), IOTCLOUD_FIELD(frozen, rare),
+                                IOTCLOUD_FIELD(draining, usual), IOTCLOUD_FIELD(original, usual)});
 };
 
 /// An order and its gateway.
@@ -70,11 +76,36 @@ void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<D
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths);
 /// \param gateways empty: all gateways. Unknown gateways have no orders.
 std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<GatewayId>& gateways);
+/// The form of a topology's order as the word for what is wanted: "active", "inactive" or "killed".
+struct AsWantedState {
+  static std::string to(const std::optional<TopologyOrder>& order);
+  static void from(const std::string& word, std::optional<TopologyOrder>& order);
+};
+/// The form of a topology's order as its revision; 0: there is no order.
+struct AsRevision {
+  static std::int64_t to(const std::optional<TopologyOrder>& order) { return order ? order->revision : 0; }
+  static void from(std::int64_t revision, std::optional<TopologyOrder>& order);
+};
+/// The form of workers as their names, from which no worker is read.
+struct AsWorkerNames {
+  static std::vector<std::string> to(const std::vector<WorkerRecord>& workers);
+  static void from(const std::vector<std::string>& /*names*/, std::vector<WorkerRecord>& /*workers*/) {}
+};
+
 /// A topology that somebody runs, or that has orders.
 struct TopologyStatus {
   TopologyRecord record;
-  std::optional<TopologyOrder> order;  ///< nullopt: there is no order
-  std::vector<WorkerRecord> workers;   ///< live workers
+  /// nullopt: there is no order. A status that has travelled has an order, of which only the revision and what is
+  /// wanted are known.
+  std::optional<TopologyOrder> order;
+  std::vector<WorkerRecord> workers;  ///< live workers
+  static constexpr const char* what = "the status of a topology";
+  static constexpr auto fields =
+      std::tuple_cat(IOTCLOUD_FIELDS_OF(record, TopologyRecord),
+                     std::tuple{IOTCLOUD_FIELD_IN(AsWorkerNames, workers, usual, "worker_names", workers),
+                                IOTCLOUD_FIELD_AS(workers, usual, "workers", workerRecords),
+                                IOTCLOUD_FIELD_IN(AsWantedState, order, usual, "wanted", wanted),
+                                IOTCLOUD_FIELD_IN(AsRevision, order, usual, "revision", revision)});
 };
 /// All topologies with their orders and workers. \throws RegistryError.
 std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths);

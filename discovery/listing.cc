@@ -134,6 +134,30 @@ std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, con
   return orders;
 }
 
+std::string AsWantedState::to(const std::optional<TopologyOrder>& order) {
+  if (order && order->kill) return "killed";
+  return !order || order->active ? "active" : "inactive";
+}
+
+void AsWantedState::from(const std::string& word, std::optional<TopologyOrder>& order) {
+  if (!order) order.emplace();
+  order->active = word == "active";
+  order->kill.reset();
+  if (word == "killed") order->kill.emplace();
+}
+
+void AsRevision::from(std::int64_t revision, std::optional<TopologyOrder>& order) {
+  if (!order) order.emplace();
+  order->revision = revision;
+}
+
+std::vector<std::string> AsWorkerNames::to(const std::vector<WorkerRecord>& workers) {
+  std::vector<std::string> names;
+  names.reserve(workers.size());
+  for (const auto& worker : workers) names.push_back(worker.name);
+  return names;
+}
+
 std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths) {
   std::vector<TopologyStatus> topologies;
   for_each_child(registry, paths.topologies, decode_topology, [&](const std::string& node_name, TopologyRecord record) {

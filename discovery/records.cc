@@ -163,19 +163,16 @@ DriverRecord from_wire(wire::TSensor sensor, const std::string& path) {
   return record;
 }
 
-wire::TSite to_wire(const GatewayRecord& record) {
-  auto site = as_wire<wire::TSite>(record);
-  std::vector<wire::TBroker> brokers(record.brokers.size());
-  for (std::size_t i = 0; i < brokers.size(); ++i) brokers[i].name = record.brokers[i];
-  site.__set_brokers(brokers);
-  return site;
+std::vector<AsBrokers::Broker> AsBrokers::to(const std::vector<std::string>& names) {
+  std::vector<Broker> brokers;
+  brokers.reserve(names.size());
+  for (const auto& name : names) brokers.push_back({name});
+  return brokers;
 }
 
-GatewayRecord from_wire(wire::TSite site) {
-  GatewayRecord record;
-  for (auto& broker : site.brokers) record.brokers.push_back(std::move(broker.name));
-  fill_own(site, record);
-  return record;
+void AsBrokers::from(std::vector<Broker> brokers, std::vector<std::string>& names) {
+  names.clear();
+  for (auto& broker : brokers) names.push_back(std::move(broker.name));
 }
 
 std::string encode(const DriverRecord& record) {
@@ -185,7 +182,7 @@ std::string encode(const ChannelRecord& record) {
   return to_bytes(as_wire<wire::TChannel>(record));
 }
 std::string encode(const GatewayRecord& record) {
-  return to_bytes(to_wire(record));
+  return to_bytes(as_wire<wire::TSite>(record));
 }
 
 DriverRecord decode_driver(const std::string& bytes, const std::string& path) {
@@ -197,7 +194,7 @@ ChannelRecord decode_channel(const std::string& bytes, const std::string& path) 
   return as_own<ChannelRecord>(std::move(channel));
 }
 GatewayRecord decode_gateway(const std::string& bytes, const std::string& path) {
-  return from_wire(from_bytes<wire::TSite>(bytes, path, "a gateway (TSite)"));
+  return as_own<GatewayRecord>(from_bytes<wire::TSite>(bytes, path, "a gateway (TSite)"));
 }
 
 }  // namespace iotcloud::discovery

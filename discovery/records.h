@@ -99,6 +99,17 @@ struct DriverRecord {
   friend bool operator==(const DriverRecord&, const DriverRecord&) = default;
 };
 
+/// The form of a gateway's brokers in TSite, which has a struct for each.
+struct AsBrokers {
+  struct Broker {
+    std::string name;
+    static constexpr const char* what = "a gateway's broker";
+    static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(name, required)};
+  };
+  static std::vector<Broker> to(const std::vector<std::string>& names);
+  static void from(std::vector<Broker> brokers, std::vector<std::string>& names);
+};
+
 /// One gateway (TSite at `/iot/gateways/<id>`; it lives while the ephemeral `/iot/gateways/<id>/alive` exists).
 struct GatewayRecord {
   GatewayId id;
@@ -108,12 +119,12 @@ struct GatewayRecord {
   std::int64_t since_ms = 0;
   bool tls = false;       ///< whether its Thrift service speaks TLS
   std::string trouble{};  ///< what its drivers cannot do now (a broker is away, say); empty: nothing is known
-  /// `brokers` is missing here: TSite has a struct for each broker, so records.cc converts them.
   static constexpr const char* what = "a gateway";
   static constexpr auto fields = std::tuple{
       IOTCLOUD_FIELD_AS(id, required, "gateway", siteId),
       IOTCLOUD_FIELD(host, required),
       IOTCLOUD_FIELD(port, required),
+      IOTCLOUD_FIELD_IN(AsBrokers, brokers, usual, "brokers", brokers),
       IOTCLOUD_FIELD_AS(since_ms, usual, "since_ms", sinceMs),
       IOTCLOUD_FIELD(tls, rare),
       IOTCLOUD_FIELD(trouble, rare),

@@ -59,7 +59,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     try {
       for (const auto& gateway : master_.gateways()) {
         if (gateway.record.id != id) continue;
-        answer.__set_details(to_wire(gateway));
+        answer.__set_details(discovery::as_wire<TSite>(gateway));
         answer.state = success();
         return;
       }
@@ -117,7 +117,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   }
   void listGateways(std::vector<TSite>& out) override {
     read([&] {
-      for (const auto& gateway : master_.gateways()) out.push_back(to_wire(gateway));
+      for (const auto& gateway : master_.gateways()) discovery::fill_wire(gateway, out.emplace_back());
     });
   }
   void listDrivers(std::vector<TSensor>& out) override {
@@ -129,7 +129,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   }
   void listTopologies(std::vector<wire::TTopology>& out) override {
     read([&] {
-      for (const auto& topology : master_.topologies()) out.push_back(to_wire(topology));
+      for (const auto& topology : master_.topologies()) discovery::fill_wire(topology, out.emplace_back());
     });
   }
 
@@ -202,7 +202,8 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   void listOrders(std::vector<wire::TOrder>& out) override {
     read([&] {
       const bool with_secrets = session_->role() == security::Role::admin;
-      for (const auto& placed : master_.orders()) out.push_back(to_wire(placed, with_secrets));
+      for (auto& placed : master_.orders())
+        discovery::fill_wire(listed(std::move(placed), with_secrets), out.emplace_back());
     });
   }
   void exportOrders(std::string& out) override {

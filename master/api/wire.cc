@@ -56,73 +56,17 @@ discovery::wire::TSensor without_secrets(const discovery::DriverRecord& driver) 
   return sensor;
 }
 
-discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway) {
-  auto site = discovery::to_wire(gateway.record);
-  site.__set_alive(gateway.alive);
-  site.__set_draining(gateway.draining);
-  site.__set_original(gateway.original);
-  if (!gateway.frozen.empty()) site.__set_frozen(gateway.frozen);
-  return site;
-}
-
-discovery::GatewayStatus from_wire(discovery::wire::TSite site) {
-  discovery::GatewayStatus gateway;
-  gateway.alive = site.alive;
-  gateway.draining = site.draining;
-  gateway.original = site.original;
-  gateway.frozen = site.frozen;
-  gateway.record = discovery::from_wire(std::move(site));
-  return gateway;
-}
-
-wire::TOrder to_wire(const discovery::PlacedOrder& placed, bool with_secrets) {
-  wire::TOrder out;
-  discovery::fill_wire<discovery::Deployment>(placed.order, out);
-  out.__set_gateway(placed.gateway);
-  out.__set_instance(placed.order.instance);
-  out.__set_index(placed.order.index);
-  out.__set_active(placed.order.active || placed.order.drained);
-  if (with_secrets) return out;
-  std::erase_if(out.properties, [&](const auto& property) {
+ListedOrder listed(discovery::PlacedOrder placed, bool with_secrets) {
+  ListedOrder result{std::move(placed), {}};
+  auto& order = result.order;
+  order.active = order.active || order.drained;
+  if (with_secrets) return result;
+  std::erase_if(order.properties, [&](const auto& property) {
     const bool hide = is_secret(property.first, property.second);
-    if (hide) out.hidden.push_back(property.first);
+    if (hide) result.hidden.push_back(property.first);
     return hide;
   });
-  return out;
-}
-
-ListedOrder from_wire(wire::TOrder order) {
-  ListedOrder listed;
-  listed.gateway = discovery::GatewayId(std::move(order.gateway));
-  listed.order.instance = discovery::InstanceId(std::move(order.instance));
-  listed.order.index = order.index;
-  listed.hidden = std::move(order.hidden);
-  discovery::fill_own<wire::TOrder, discovery::Deployment>(order, listed.order);
-  return listed;
-}
-
-wire::TTopology to_wire(const discovery::TopologyStatus& topology) {
-  auto out = as_wire<wire::TTopology>(topology.record);
-  for (const auto& worker : topology.workers) {
-    out.workers.push_back(worker.name);
-    discovery::fill_wire(worker, out.workerRecords.emplace_back());
-  }
-  const bool killed = topology.order && topology.order->kill;
-  const bool active = !topology.order || topology.order->active;
-  out.__set_wanted(killed ? "killed" : active ? "active" : "inactive");
-  out.__set_revision(topology.order ? topology.order->revision : 0);
-  return out;
-}
-
-discovery::TopologyStatus from_wire(wire::TTopology topology) {
-  discovery::TopologyStatus status;
-  for (auto& worker : topology.workerRecords) discovery::fill_own(worker, status.workers.emplace_back());
-  auto& order = status.order.emplace();
-  order.revision = topology.revision;
-  order.active = topology.wanted == "active";
-  if (topology.wanted == "killed") order.kill.emplace();
-  discovery::fill_own(topology, status.record);
-  return status;
+  return result;
 }
 
 wire::TOrderResponse to_wire(const OrderResult& result) {

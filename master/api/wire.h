@@ -13,10 +13,9 @@ namespace iotcloud::master {
 
 /// A driver as every caller may see it: without the passwords in its channels' broker URLs and properties.
 discovery::wire::TSensor without_secrets(const discovery::DriverRecord& driver);
-discovery::wire::TSite to_wire(const discovery::GatewayStatus& gateway);
-wire::TTopology to_wire(const discovery::TopologyStatus& topology);
+/// An order as clients may see it, in which `active` is what is wanted when its gateway does not drain.
 /// \param with_secrets whether values of properties that look like secrets are included; else only their keys are.
-wire::TOrder to_wire(const discovery::PlacedOrder& placed, bool with_secrets);
+ListedOrder listed(discovery::PlacedOrder placed, bool with_secrets);
 wire::TOrderResponse to_wire(const OrderResult& result);
 wire::TUploadResponse to_wire(const UploadResult& result);
 wire::TTopologyResponse to_wire(const TopologyResult& result);
@@ -25,9 +24,6 @@ discovery::wire::TResponse to_response(const OrderResult& result);
 discovery::wire::TResponse success(const std::string& text = "");
 discovery::wire::TResponse failure(const std::string& text);
 
-discovery::GatewayStatus from_wire(discovery::wire::TSite site);
-discovery::TopologyStatus from_wire(wire::TTopology topology);
-ListedOrder from_wire(wire::TOrder order);
 OrderResult from_wire(wire::TOrderResponse answer);
 UploadResult from_wire(wire::TUploadResponse answer);
 TopologyResult from_wire(wire::TTopologyResponse answer);

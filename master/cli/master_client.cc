@@ -148,6 +148,14 @@ struct MasterClient::Impl {
     }
   }
 
+  /// Asks for a list.
+  template <typename Own, typename Wire>
+  std::vector<Own> list(void (Client::*question)(std::vector<Wire>&)) {
+    std::vector<Own> all;
+    for (auto& item : ask(question)) discovery::fill_own(item, all.emplace_back());
+    return all;
+  }
+
   /// Converts an order to its Thrift struct, and gives it.
   template <typename Own, typename Answer, typename Wire, typename... Parameters, typename... Arguments>
   auto order(milliseconds limit, const Own& own, void (Client::*method)(Answer&, const Wire&, Parameters...),
@@ -227,9 +235,7 @@ MasterStatus MasterClient::status() {
 }
 
 std::vector<discovery::GatewayStatus> MasterClient::gateways() {
-  std::vector<discovery::GatewayStatus> gateways;
-  for (auto& site : impl_->ask(&Client::listGateways)) gateways.push_back(from_wire(std::move(site)));
-  return gateways;
+  return impl_->list<discovery::GatewayStatus>(&Client::listGateways);
 }
 
 std::vector<discovery::DriverRecord> MasterClient::drivers() {
@@ -240,15 +246,11 @@ std::vector<discovery::DriverRecord> MasterClient::drivers() {
 }
 
 std::vector<discovery::TopologyStatus> MasterClient::topologies() {
-  std::vector<discovery::TopologyStatus> topologies;
-  for (auto& topology : impl_->ask(&Client::listTopologies)) topologies.push_back(from_wire(std::move(topology)));
-  return topologies;
+  return impl_->list<discovery::TopologyStatus>(&Client::listTopologies);
 }
 
 std::vector<ListedOrder> MasterClient::orders() {
-  std::vector<ListedOrder> orders;
-  for (auto& order : impl_->ask(&Client::listOrders)) orders.push_back(from_wire(std::move(order)));
-  return orders;
+  return impl_->list<ListedOrder>(&Client::listOrders);
 }
 
 std::string MasterClient::backup() {

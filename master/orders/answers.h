@@ -29,6 +29,11 @@ struct MasterStatus {
 struct ListedOrder : discovery::PlacedOrder {
   /// Keys of properties whose values only an admin may see; they are missing in `properties`.
   std::vector<std::string> hidden;
+  static constexpr const char* what = "the order of an instance";
+  static constexpr auto fields = std::tuple_cat(
+      std::tuple{IOTCLOUD_FIELD(gateway, usual), IOTCLOUD_FIELD_AS(order.instance, usual, "instance", instance),
+                 IOTCLOUD_FIELD_AS(order.index, rare, "index", index)},
+      IOTCLOUD_FIELDS_OF(order, discovery::Deployment), std::tuple{IOTCLOUD_FIELD(hidden, usual)});
 };
 
 /// One change of state of one driver instance, as a gateway remembers it.

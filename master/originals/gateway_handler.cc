@@ -24,7 +24,7 @@ class GatewayHandler final : public wire::TMasterServiceIf {
       : gateways_(gateways), status_(std::move(status)) {}
 
   void registerSite(TResponse& response, const TSite& site) override {
-    respond(response, [&] { return gateways_.register_gateway(discovery::from_wire(site)); });
+    respond(response, [&] { return gateways_.register_gateway(discovery::as_own<discovery::GatewayRecord>(site)); });
   }
   void unRegisterSite(TResponse& response, const TSite& site) override {
     respond(response, [&] { return gateways_.unregister_gateway(discovery::GatewayId(site.siteId)); });

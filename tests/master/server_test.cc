@@ -12,6 +12,7 @@
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/api/wire.h>
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
@@ -31,7 +32,9 @@ using discovery::wire::TSensor;
 using discovery::wire::TSite;
 using test::FakeGateway;
 using test::TestMaster;
+using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::Pair;
 using testing::SizeIs;
 
 struct Connection {
@@ -148,6 +151,63 @@ TEST_F(MasterServer, StatusAndTopologiesAreAnswered) {
   EXPECT_TRUE(status.leading);
   EXPECT_EQ(status.id, "m1");
   EXPECT_EQ(status.leader, "127.0.0.1:1111");
+}
+
+TEST(MasterAnswers, SayOfATopologyWhatIsWantedWhoWorksAndTheLastOrder) {
+  discovery::TopologyStatus topology;
+  topology.record.name = "follower"_topology;
+  topology.record.bolts = {"decode"};
+  topology.workers.emplace_back().name = "w1";
+  topology.workers[0].trouble = "red is away";
+  auto said = discovery::as_wire<wire::TTopology>(topology);
+  EXPECT_EQ(said.name, "follower");
+  EXPECT_THAT(said.workers, ElementsAre("w1"));
+  EXPECT_EQ(said.wanted, "active");
+  EXPECT_EQ(said.revision, 0);
+  topology.order.emplace().revision = 7;
+  topology.order->active = false;
+  said = discovery::as_wire<wire::TTopology>(topology);
+  EXPECT_EQ(said.wanted, "inactive");
+  auto heard = discovery::as_own<discovery::TopologyStatus>(said);
+  EXPECT_EQ(heard.record, topology.record);
+  EXPECT_EQ(heard.workers, topology.workers);
+  ASSERT_TRUE(heard.order);
+  EXPECT_EQ(heard.order->revision, 7);
+  EXPECT_FALSE(heard.order->active);
+  topology.order->kill.emplace();
+  said = discovery::as_wire<wire::TTopology>(topology);
+  EXPECT_EQ(said.wanted, "killed");
+  heard = discovery::as_own<discovery::TopologyStatus>(said);
+  EXPECT_TRUE(heard.order && heard.order->kill);
+}
+
+TEST(MasterAnswers, SayOfAGatewayAndOfAnOrderAllThatIsKnown) {
+  discovery::GatewayStatus gateway;
+  gateway.record.id = discovery::GatewayId("lab1");
+  gateway.record.brokers = {"red", "blue"};
+  gateway.alive = gateway.draining = gateway.original = true;
+  auto site = discovery::as_wire<TSite>(gateway);
+  EXPECT_FALSE(site.__isset.frozen);
+  gateway.frozen = "the registry was emptied";
+  site = discovery::as_wire<TSite>(gateway);
+  const auto heard = discovery::as_own<discovery::GatewayStatus>(site);
+  EXPECT_EQ(heard.record, gateway.record);
+  EXPECT_TRUE(heard.alive && heard.draining && heard.original);
+  EXPECT_EQ(heard.frozen, gateway.frozen);
+
+  discovery::PlacedOrder placed{discovery::GatewayId("lab1"), {}};
+  placed.order.instance = discovery::InstanceId("01");
+  placed.order.index = 2;
+  placed.order.active = false;
+  placed.order.drained = true;
+  placed.order.properties = {{"rate", "5"}, {"password", "sesame"}};
+  const auto listing = discovery::as_own<ListedOrder>(discovery::as_wire<wire::TOrder>(listed(placed, false)));
+  EXPECT_EQ(listing.gateway, placed.gateway);
+  EXPECT_EQ(listing.order.instance, placed.order.instance);
+  EXPECT_EQ(listing.order.index, 2);
+  EXPECT_TRUE(listing.order.active) << "it is stopped only while its gateway drains";
+  EXPECT_THAT(listing.order.properties, ElementsAre(Pair("rate", "5")));
+  EXPECT_THAT(listing.hidden, ElementsAre("password"));
 }
 
 TEST_F(MasterServer, AMessageAboveTheLimitClosesTheConnectionAndTheServerGoesOn) {
