@@ -13,7 +13,7 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
  public:
   using Response = discovery::wire::TResponse;
   SiteHandler(std::chrono::milliseconds outcome_limit, std::string log_folder, Gateway& gateway,
-              discovery::Registry& registry, discovery::Paths paths, std::shared_ptr<rpc::Session> session)
+              discovery::Registry& registry, discovery::Paths paths, std::shared_ptr<rpc::CallerSession> session)
       : outcome_limit_(outcome_limit),
         log_folder_(std::move(log_folder)),
         gateway_(gateway),
@@ -63,7 +63,7 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   Gateway& gateway_;
   discovery::Registry& registry_;
   const discovery::Paths paths_;
-  const std::shared_ptr<rpc::Session> session_;
+  const std::shared_ptr<rpc::CallerSession> session_;
   SitePlugins plugins_;
 };
 

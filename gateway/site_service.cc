@@ -51,7 +51,7 @@ struct SiteService::Impl {
   }
 
   std::shared_ptr<apache::thrift::TProcessor> serve(const std::shared_ptr<rpc::ThriftPeer>& peer) {
-    auto session = std::make_shared<rpc::Session>(access, peer);
+    auto session = std::make_shared<rpc::CallerSession>(access, peer);
     auto handler = std::make_shared<SiteHandler>(outcome_limit, log_folder, gateway, registry, paths, session);
     return rpc::guarded(std::make_shared<wire::TSensorSiteServiceProcessor>(std::move(handler)), session);
   }

@@ -52,7 +52,7 @@ void write_struct(TProtocol& out, const char* name, std::int16_t id, Members&& m
 
 class GuardedProcessor final : public TProcessor {
  public:
-  GuardedProcessor(std::shared_ptr<TProcessor> processor, std::shared_ptr<Session> session)
+  GuardedProcessor(std::shared_ptr<TProcessor> processor, std::shared_ptr<CallerSession> session)
       : processor_(std::move(processor)), session_(std::move(session)) {}
 
   bool process(std::shared_ptr<TProtocol> in, std::shared_ptr<TProtocol> out, void* context) override {
@@ -77,7 +77,8 @@ class GuardedProcessor final : public TProcessor {
   }
 
  private:
-  static void write(TProtocol& out, const std::string& method, std::int32_t number, const Session::Refusal& refusal) {
+  static void write(TProtocol& out, const std::string& method, std::int32_t number,
+                    const CallerSession::Refusal& refusal) {
     if (refusal.form == RefusalForm::failure) {
       out.writeMessageBegin(method, TMessageType::T_EXCEPTION, number);
       TApplicationException(
@@ -105,10 +106,10 @@ class GuardedProcessor final : public TProcessor {
   }
 
   const std::shared_ptr<TProcessor> processor_;
-  const std::shared_ptr<Session> session_;
+  const std::shared_ptr<CallerSession> session_;
 };
 
-std::shared_ptr<TProcessor> guarded(std::shared_ptr<TProcessor> processor, std::shared_ptr<Session> session) {
+std::shared_ptr<TProcessor> guarded(std::shared_ptr<TProcessor> processor, std::shared_ptr<CallerSession> session) {
   return std::make_shared<GuardedProcessor>(std::move(processor), std::move(session));
 }
 

@@ -21,25 +21,25 @@ security::Role role_without_token(const AccessOptions& options, const ThriftPeer
 
 }  // namespace
 
-Session::Session(const AccessOptions& options, std::shared_ptr<ThriftPeer> peer)
+CallerSession::CallerSession(const AccessOptions& options, std::shared_ptr<ThriftPeer> peer)
     : options_(options), peer_(std::move(peer)), local_role_(role_without_token(options_, *peer_)) {
   if (options_.tokens) peer_->ask_who_it_is();
 }
 
-security::Role Session::role() const {
+security::Role CallerSession::role() const {
   if (!options_.tokens) return local_role_;
   if (!holder_) return security::Role::anyone;
   return options_.tokens->role_of(*holder_).value_or(security::Role::anyone);
 }
 
 /// The caller's name for people.
-std::string Session::caller() const {
+std::string CallerSession::caller() const {
   if (holder_) return holder_->name;
   if (options_.tokens) return "";
   return peer_->user() ? fmt::format("user {}", *peer_->user()) : "";
 }
 
-security::AuditEntry Session::entry(const std::string& method) const {
+security::AuditEntry CallerSession::entry(const std::string& method) const {
   security::AuditEntry entry;
   entry.who = caller();
   entry.role = to_string(role());
@@ -50,7 +50,7 @@ security::AuditEntry Session::entry(const std::string& method) const {
 }
 
 /// Writes a refusal into the logs, each within its limit: a flood of refused calls fills no disk.
-void Session::tell_refusal(const std::string& method, const std::string& kind, const std::string& text) {
+void CallerSession::tell_refusal(const std::string& method, const std::string& kind, const std::string& text) {
   options_.refusals->refused(kind + " " + method, fmt::format("{}: {} of {} is refused: {}", options_.service, method,
                                                               peer_->address(), text));
   if (!options_.audit) return;
@@ -59,7 +59,7 @@ void Session::tell_refusal(const std::string& method, const std::string& kind, c
   options_.audit->write_refused(std::move(line));
 }
 
-std::string Session::authenticate(const std::string& token) {
+std::string CallerSession::authenticate(const std::string& token) {
   if (!options_.tokens) return "";
   std::string why;
   holder_ = options_.tokens->holder(token, peer_->certificate(), &why);
@@ -84,7 +84,7 @@ std::string Session::authenticate(const std::string& token) {
          "there are, and with which certificate each counts";
 }
 
-void Session::begins(std::string what) {
+void CallerSession::begins(std::string what) {
   what_ = std::move(what);
   if (!audited_ || !options_.audit) return;
   auto line = entry(method_);
@@ -92,11 +92,11 @@ void Session::begins(std::string what) {
   options_.audit->write_begun(std::move(line));
 }
 
-void Session::note(std::string outcome) {
+void CallerSession::note(std::string outcome) {
   outcome_ = std::move(outcome);
 }
 
-std::optional<Session::Refusal> Session::refuse(const std::string& method) {
+std::optional<CallerSession::Refusal> CallerSession::refuse(const std::string& method) {
   const auto rule = options_.rules.find(method);
   if (rule == options_.rules.end()) {
     count_refusal(options_.service, "method");
@@ -131,7 +131,7 @@ std::optional<Session::Refusal> Session::refuse(const std::string& method) {
 }
 
 /// Waits for the turn of a call that the caller may make.
-std::optional<Session::Refusal> Session::refuse_too_many(const std::string& method) {
+std::optional<CallerSession::Refusal> CallerSession::refuse_too_many(const std::string& method) {
   auto turn = options_.limits->enter(role(), caller());
   if (!turn) {
     count_refusal(options_.service, "rate");
@@ -144,7 +144,7 @@ std::optional<Session::Refusal> Session::refuse_too_many(const std::string& meth
   return std::nullopt;
 }
 
-void Session::begin(const std::string& method) {
+void CallerSession::begin(const std::string& method) {
   const auto rule = options_.rules.find(method);
   method_ = method;
   audited_ = rule != options_.rules.end() && rule->second.role >= security::Role::operating && rule->second.audited;
@@ -152,7 +152,7 @@ void Session::begin(const std::string& method) {
   outcome_ = "answered";
 }
 
-void Session::end() {
+void CallerSession::end() {
   if (!audited_) return;
   auto line = entry(method_);
   line.what = what_;

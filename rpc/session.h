@@ -60,10 +60,10 @@ struct AccessOptions {
 };
 
 /// One connection: its user, and the outcome of its current call. Used by the connection's thread.
-class Session {
+class CallerSession {
  public:
   /// \param options must outlive the session.
-  Session(const AccessOptions& options, std::shared_ptr<ThriftPeer> peer);
+  CallerSession(const AccessOptions& options, std::shared_ptr<ThriftPeer> peer);
 
   /// Implements a service's authenticate(). \return why it failed; empty: the session is open.
   std::string authenticate(const std::string& token);
@@ -112,6 +112,6 @@ class Session {
 
 /// A processor that passes on only the calls that the session may make, and writes orders to the audit log.
 std::shared_ptr<apache::thrift::TProcessor> guarded(std::shared_ptr<apache::thrift::TProcessor> processor,
-                                                    std::shared_ptr<Session> session);
+                                                    std::shared_ptr<CallerSession> session);
 
 }  // namespace iotcloud::rpc

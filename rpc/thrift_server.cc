@@ -70,12 +70,12 @@ int port_of(int descriptor) {
                                        : ntohs(reinterpret_cast<const sockaddr_in&>(address).sin_port);
 }
 
-class Descriptor {
+class OpenDescriptor {
  public:
-  explicit Descriptor(int number) : number_(number) {}
-  ~Descriptor() { close(number_); }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
+  explicit OpenDescriptor(int number) : number_(number) {}
+  ~OpenDescriptor() { close(number_); }
+  OpenDescriptor(const OpenDescriptor&) = delete;
+  OpenDescriptor& operator=(const OpenDescriptor&) = delete;
   int get() const { return number_; }
 
  private:
@@ -260,8 +260,8 @@ struct ThriftServer::Impl {
   const ThriftServerOptions options;
   const ThriftService service;
   RefusalLog log{thrift_logger};
-  const Descriptor listener;
-  const Descriptor wake;  ///< wakes the thread that accepts
+  const OpenDescriptor listener;
+  const OpenDescriptor wake;  ///< wakes the thread that accepts
   security::ServerTls tls;
   std::atomic<bool> look_now{false};
   Stream::Clock::time_point next_look = Stream::Clock::now();  ///< used by the thread that accepts

@@ -41,7 +41,7 @@ std::string words(const TopologyRequest& request) {
 class ApiHandler final : public wire::TMasterAPIServiceIf {
  public:
   ApiHandler(Master& master, PluginUploads& uploads, const GatewayAccess& gateways, const WorkerAccess& workers,
-             GatewayAsks& asks, std::shared_ptr<rpc::Session> session)
+             GatewayAsks& asks, std::shared_ptr<rpc::CallerSession> session)
       : master_(master),
         uploads_(uploads),
         gateways_(gateways),
@@ -306,7 +306,7 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   const GatewayAccess& gateways_;
   const WorkerAccess& workers_;
   GatewayAsks& asks_;
-  const std::shared_ptr<rpc::Session> session_;
+  const std::shared_ptr<rpc::CallerSession> session_;
 };
 
 /// What all connections share.
@@ -341,7 +341,7 @@ rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   shared->access.limits = std::make_shared<rpc::RoleLimits>(access.calls);
   // The server's options keep this function, and with it `shared`, for as long as there are connections.
   return [shared](const std::shared_ptr<rpc::ThriftPeer>& peer) {
-    auto session = std::make_shared<rpc::Session>(shared->access, peer);
+    auto session = std::make_shared<rpc::CallerSession>(shared->access, peer);
     auto handler = std::make_shared<ApiHandler>(shared->master, shared->uploads, shared->gateways, shared->workers,
                                                 shared->asks, session);
     return rpc::guarded(std::make_shared<wire::TMasterAPIServiceProcessor>(std::move(handler)), session);

@@ -92,30 +92,30 @@ HttpAnswer answer_to(const Pages& pages, std::string_view target) {
   }
 }
 
-class Connection;
+class HttpConnection;
 
 /// The server's open connections, in the order in which they began their present step, which is to wait for a request
 /// or to send an answer. Used by the server's thread.
-using Connections = std::list<Connection*>;
+using HttpConnections = std::list<HttpConnection*>;
 
 /// What all connections of a server use.
 struct Shared {
   const Pages& pages;
   const PageGuard& guard;
-  Connections connections;
+  HttpConnections connections;
   std::function<void(const std::string& reason, const std::string& text)> refused;
 };
 
 /// One connection's place among all.
-class Connection {
+class HttpConnection {
  public:
-  explicit Connection(Shared& shared)
+  explicit HttpConnection(Shared& shared)
       : shared_(shared), place_(shared.connections.insert(shared.connections.end(), this)) {}
-  virtual ~Connection() {
+  virtual ~HttpConnection() {
     if (open_) shared_.connections.erase(place_);
   }
-  Connection(const Connection&) = delete;
-  Connection& operator=(const Connection&) = delete;
+  HttpConnection(const HttpConnection&) = delete;
+  HttpConnection& operator=(const HttpConnection&) = delete;
 
   void cut() {
     shared_.connections.erase(place_);
@@ -133,7 +133,7 @@ class Connection {
   Shared& shared_;
 
  private:
-  const Connections::iterator place_;
+  const HttpConnections::iterator place_;
   bool open_ = true;
 };
 
@@ -142,11 +142,12 @@ using TlsStream = beast::ssl_stream<beast::tcp_stream>;
 
 /// One connection. Lives as long as one of its operations is pending.
 template <typename Stream>
-class ConnectionOver final : public Connection, public std::enable_shared_from_this<ConnectionOver<Stream>> {
+class HttpConnectionOver final : public HttpConnection,
+                                 public std::enable_shared_from_this<HttpConnectionOver<Stream>> {
  public:
   template <typename... Rest>
-  ConnectionOver(Shared& shared, tcp::socket socket, Rest&... rest)
-      : Connection(shared), stream_(std::move(socket), rest...) {}
+  HttpConnectionOver(Shared& shared, tcp::socket socket, Rest&... rest)
+      : HttpConnection(shared), stream_(std::move(socket), rest...) {}
 
   std::string distrust(const security::TlsContext& tls) override {
     if constexpr (secure) {
@@ -326,10 +327,10 @@ struct HttpServer::Impl {
 
   void serve(tcp::socket socket) {
     const auto tls = guard.tls().context();
-    if (!tls) return std::make_shared<ConnectionOver<PlainStream>>(shared, std::move(socket))->start();
+    if (!tls) return std::make_shared<HttpConnectionOver<PlainStream>>(shared, std::move(socket))->start();
     SSL_CTX_up_ref(tls->get());
     asio::ssl::context context(tls->get());  // owns the reference
-    std::make_shared<ConnectionOver<TlsStream>>(shared, std::move(socket), context)->start();
+    std::make_shared<HttpConnectionOver<TlsStream>>(shared, std::move(socket), context)->start();
   }
 
   /// Reads TLS files that were replaced, cuts readers whose certificate counts no longer, and looks again later.
@@ -339,8 +340,8 @@ struct HttpServer::Impl {
     }
     const auto tls = guard.tls().context();
     if (!tls) return;
-    const std::vector<Connection*> open(shared.connections.begin(), shared.connections.end());
-    for (Connection* const connection : open) {
+    const std::vector<HttpConnection*> open(shared.connections.begin(), shared.connections.end());
+    for (HttpConnection* const connection : open) {
       const std::string why = connection->distrust(*tls);
       if (why.empty()) continue;
       refused("revoked", "a reader is cut off: its certificate is " + why);
@@ -355,7 +356,7 @@ struct HttpServer::Impl {
   /// If there are too many connections, cuts the one that has been the longest at its request, or at taking its answer:
   /// who asks and reads at once, such as a probe of /healthz, is always answered.
   void make_room() {
-    Connections& connections = shared.connections;
+    HttpConnections& connections = shared.connections;
     if (connections.size() < most_connections) return;
     refused("connections", fmt::format("there are {} connections already; the one that has been the longest at its "
                                        "request, or at taking its answer, is cut off",
