@@ -41,7 +41,7 @@ std::string joined(const std::vector<std::string>& words) {
   return fmt::format("{}", fmt::join(words, ", "));
 }
 
-Waiting::Concerns is_one_of(const std::vector<discovery::InstanceId>& ids) {
+WaitingReport::Concerns is_one_of(const std::vector<discovery::InstanceId>& ids) {
   return [&ids](const discovery::DriverRecord& driver) {
     return std::find(ids.begin(), ids.end(), driver.instance) != ids.end();
   };
@@ -139,7 +139,7 @@ class Deploy final : public Verb {
 
   OrderResult deploy(const Call& call, MasterClient& master) const {
     const auto& gateways = request_.gateways;
-    const Waiting waiting(call, [&, begun = now_ms()](const discovery::DriverRecord& driver) {
+    const WaitingReport waiting(call, [&, begun = now_ms()](const discovery::DriverRecord& driver) {
       const bool here =
           gateways.empty() || std::find(gateways.begin(), gateways.end(), driver.gateway) != gateways.end();
       if (!here) return false;
@@ -255,7 +255,7 @@ class ChangeInstances final : public ForInstances {
     return show_order(call, ordered(call, master, selection));
   }
   OrderResult ordered(const Call& call, MasterClient& master, const InstanceSelection& selection) const {
-    const Waiting waiting(call, is_one_of(selection.instances));
+    const WaitingReport waiting(call, is_one_of(selection.instances));
     return (master.*order_)(selection);
   }
   const Order order_;
@@ -271,7 +271,7 @@ class Restart final : public ForInstances {
   int give(Call& call, MasterClient& master, const InstanceSelection& selection) override {
     constexpr std::size_t steps = 2;
     const std::string order = discovery::to_json<Json>(selection).dump();
-    std::optional<Waiting> waiting(std::in_place, call, is_one_of(selection.instances));
+    std::optional<WaitingReport> waiting(std::in_place, call, is_one_of(selection.instances));
     const auto result = master.give("restart", order, selection.wait, steps);
     waiting.reset();
     return show_order(call, result);
@@ -367,7 +367,7 @@ class Update final : public ForInstances {
   }
 
   OrderResult update(const Call& call, MasterClient& master, std::size_t steps) const {
-    const Waiting waiting(call, is_one_of(request_.selection.instances));
+    const WaitingReport waiting(call, is_one_of(request_.selection.instances));
     return master.update(request_, steps);
   }
 

@@ -43,17 +43,17 @@ std::string words_of(const DriverRecord& driver) {
 
 }  // namespace
 
-Waiting::Waiting(const Call& call, Concerns concerns)
+WaitingReport::WaitingReport(const Call& call, Concerns concerns)
     : call_(call),
       concerns_(std::move(concerns)),
       asking_([this](const std::stop_token& stop) { ask_and_tell(stop); }) {}
 
-void Waiting::say(const std::string& line) {
+void WaitingReport::say(const std::string& line) {
   const config::MutexLock lock(writing_);
   call_.err << line << std::flush;
 }
 
-void Waiting::ask_and_tell(const std::stop_token& stop) {
+void WaitingReport::ask_and_tell(const std::stop_token& stop) {
   config::Mutex mutex;
   config::StoppableConditionVariable end;
   std::set<std::string> told;

@@ -15,11 +15,11 @@ struct Call;
 /// While it lives, and from a second on: says on `Call::err` what the instances that an order is about are waiting for,
 /// once for each state and reason. The order itself waits on another connection meanwhile; nothing but say() may write
 /// to `Call::err`.
-class Waiting {
+class WaitingReport {
  public:
   using Concerns = std::function<bool(const discovery::DriverRecord&)>;
   /// \param concerns whether the order is about an instance; called on a thread of this object.
-  Waiting(const Call& call, Concerns concerns);
+  WaitingReport(const Call& call, Concerns concerns);
 
   /// Writes a line between the others. Any thread may call it.
   void say(const std::string& line);

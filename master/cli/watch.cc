@@ -8,7 +8,7 @@
 
 namespace iotcloud::master::cli {
 
-void Watch::declare(CLI::App& options) {
+void WatchOption::declare(CLI::App& options) {
   options.add_option("--watch", seconds_, "again every so many seconds until interrupted; 1 when none are given")
       ->expected(0, 1)
       ->default_str("1")
@@ -16,7 +16,7 @@ void Watch::declare(CLI::App& options) {
       ->type_name("SECONDS");
 }
 
-int Watch::run(Call& call, const std::function<int()>& once) const {
+int WatchOption::run(Call& call, const std::function<int()>& once) const {
   int status = exit_ok;
   do {
     if (on() && call.format == Format::table && isatty(STDOUT_FILENO) == 1) call.out << "\033[H\033[2J";

@@ -7,7 +7,7 @@
 namespace iotcloud::master::cli {
 
 /// The option --watch, for verbs whose answer may be shown again and again until interrupted.
-class Watch {
+class WatchOption {
  public:
   void declare(CLI::App& options);
   bool on() const { return seconds_ > 0; }
@@ -34,7 +34,7 @@ class WatchedVerb : public Verb {
   virtual int show(Call& call, MasterClient& master) = 0;
 
  private:
-  Watch watch_;
+  WatchOption watch_;
 };
 
 }  // namespace iotcloud::master::cli

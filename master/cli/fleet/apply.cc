@@ -38,7 +38,7 @@ bool needs_plugin(const Step& step) {
 
 /// Sends a deployment's plugin to gateways, before anything is ordered there. \return the gateways that did not take
 /// it, with the reasons.
-std::map<discovery::GatewayId, std::string> send(const Deployment& deployment,
+std::map<discovery::GatewayId, std::string> send(const ManifestDeployment& deployment,
                                                  const std::set<discovery::GatewayId>& gateways, MasterClient& master,
                                                  std::ostream* terminal) {
   std::map<discovery::GatewayId, std::string> not_sent;

@@ -170,7 +170,7 @@ int show_outcomes(Call& call, const Manifest& manifest, const Plan& plan, const 
 }
 
 /// Reports progress, at most once a second.
-std::function<void(std::size_t, std::size_t)> progress_to(std::optional<Waiting>& waiting) {
+std::function<void(std::size_t, std::size_t)> progress_to(std::optional<WaitingReport>& waiting) {
   using Clock = std::chrono::steady_clock;
   return [&waiting, last = Clock::now()](std::size_t done, std::size_t all) mutable {
     if (done == all || Clock::now() - last < std::chrono::seconds(1)) return;
@@ -180,7 +180,7 @@ std::function<void(std::size_t, std::size_t)> progress_to(std::optional<Waiting>
 }
 
 /// \return whether a plan changes an instance.
-Waiting::Concerns is_changed_by(const Plan& plan) {
+WaitingReport::Concerns is_changed_by(const Plan& plan) {
   std::set<discovery::InstanceId> there;
   std::set<std::pair<discovery::GatewayId, std::string>> deployed;
   for (const auto& step : plan.steps) {
@@ -222,7 +222,7 @@ class OfManifest : public Verb {
  private:
   static void check_properties(Call& call, const Manifest& manifest, MasterClient& master) {
     PluginDeclarations on_gateways(master);
-    cli::check_properties(manifest, [&](const Deployment& deployment) -> std::vector<DeclaredPlugin> {
+    cli::check_properties(manifest, [&](const ManifestDeployment& deployment) -> std::vector<DeclaredPlugin> {
       if (!deployment.declared.empty()) return {{deployment.file, deployment.declared.front()}};
       return on_gateways.of(deployment.plugin, deployment.gateways);
     });
@@ -266,7 +266,7 @@ class Apply final : public OfManifest {
     if (dry_run_) return show_plan(call, manifest, plan);
     apply_options_.connect = [&call] { return call.connect(); };
     if (call.progress) apply_options_.terminal = &call.err;
-    std::optional<Waiting> waiting;
+    std::optional<WaitingReport> waiting;
     apply_options_.on_orders = [&] {
       if (!plan.steps.empty()) waiting.emplace(call, is_changed_by(plan));
     };

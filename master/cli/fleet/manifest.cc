@@ -43,7 +43,7 @@ std::string text_of_file(const std::string& path) {
 }
 
 /// Reads and checks the plugin of a deployment; nothing else decides which plugins a manifest may name.
-void read_plugin(Section& section, const FindPlugin& find_plugin, Deployment& deployment) {
+void read_plugin(Section& section, const FindPlugin& find_plugin, ManifestDeployment& deployment) {
   const auto plugin = section.require_string("plugin");
   deployment.plugin = plugin;
   if (find_plugin && is_local_plugin(plugin)) {
@@ -64,7 +64,7 @@ void read_plugin(Section& section, const FindPlugin& find_plugin, Deployment& de
                  "such as ./turtle.so, which is sent");
 }
 
-void read_gateways(Section& section, Deployment& deployment) {
+void read_gateways(Section& section, ManifestDeployment& deployment) {
   const std::string all = "all";
   auto gateways = section.require_strings("gateways");
   if (gateways == std::vector<std::string>{all}) {
@@ -92,7 +92,7 @@ Texts read_texts(Section& section, const std::string& key) {
   return texts;
 }
 
-void read_properties(Section& section, Deployment& deployment) {
+void read_properties(Section& section, ManifestDeployment& deployment) {
   deployment.places[""] = section.where();
   auto mapping = section.optional_section("properties");
   if (!mapping) return;
@@ -119,7 +119,7 @@ void read_properties(Section& section, Deployment& deployment) {
 }
 
 /// Reads the file that says what each instance has of its own.
-void read_each(Section& section, const ReadFile& read_file, Deployment& deployment) {
+void read_each(Section& section, const ReadFile& read_file, ManifestDeployment& deployment) {
   const auto file = section.optional_string("each");
   if (!file) return;
   if (!read_file) {
@@ -154,7 +154,7 @@ void read_each(Section& section, const ReadFile& read_file, Deployment& deployme
 }
 
 /// Puts the numbers of instances into the properties that ask for them.
-void read_index_marks(Deployment& deployment) {
+void read_index_marks(ManifestDeployment& deployment) {
   for (int index = 1; index <= deployment.count; ++index) {
     auto with_numbers = config::numbered(deployment.properties, index);
     if (const auto own = deployment.own.find(index); own != deployment.own.end()) {
@@ -166,7 +166,7 @@ void read_index_marks(Deployment& deployment) {
   }
 }
 
-void read_channels(Section& section, Deployment& deployment) {
+void read_channels(Section& section, ManifestDeployment& deployment) {
   for (auto& [channel, options] : section.sections("channels")) {
     checked_name(section, "channels", channel);
     for (const auto& option : options.names()) {
@@ -181,9 +181,9 @@ void read_channels(Section& section, Deployment& deployment) {
   }
 }
 
-Deployment read_deployment(const std::string& name, Section& section, const FindPlugin& find_plugin,
-                           const ReadFile& read_file) {
-  Deployment deployment;
+ManifestDeployment read_deployment(const std::string& name, Section& section, const FindPlugin& find_plugin,
+                                   const ReadFile& read_file) {
+  ManifestDeployment deployment;
   deployment.name = checked_name(section, "", name);
   read_plugin(section, find_plugin, deployment);
   if (const auto driver = section.optional_string("driver"))
@@ -202,7 +202,7 @@ Deployment read_deployment(const std::string& name, Section& section, const Find
 
 }  // namespace
 
-Texts Deployment::properties_of(int index) const {
+Texts ManifestDeployment::properties_of(int index) const {
   const auto found = own.find(index);
   if (found == own.end()) return properties;
   Texts all = found->second;
@@ -210,7 +210,7 @@ Texts Deployment::properties_of(int index) const {
   return all;
 }
 
-config::Location Deployment::place_of(const std::string& property, int index) const {
+config::Location ManifestDeployment::place_of(const std::string& property, int index) const {
   if (const auto found = places.find(property); found != places.end()) return found->second;
   const auto its = own.find(index);
   // The head of the CSV file is its first line.

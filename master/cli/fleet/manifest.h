@@ -13,7 +13,7 @@
 namespace iotcloud::master::cli {
 
 /// One deployment of a manifest: `count` instances on each of its gateways, which differ in `own` properties only.
-struct Deployment : discovery::Deployment {
+struct ManifestDeployment : discovery::Deployment {
   std::string file;  ///< the plugin's path on this machine, which contains a slash; empty: the plugin is not sent
   bool all_gateways = false;
   std::vector<discovery::GatewayId> gateways;  ///< used unless all_gateways
@@ -34,7 +34,7 @@ struct Deployment : discovery::Deployment {
 /// A whole fleet as it is wanted (config/fleet.yaml is a commented one).
 struct Manifest {
   std::string fleet;  ///< its name, with which its instances are marked; only marked instances are ever removed
-  std::vector<Deployment> deployments;
+  std::vector<ManifestDeployment> deployments;
 };
 
 /// Most instances of one deployment on one gateway.

@@ -235,7 +235,7 @@ class Planner {
     return step;
   }
 
-  void complain(const GatewayId& gateway, const Deployment& deployment, std::string text) {
+  void complain(const GatewayId& gateway, const ManifestDeployment& deployment, std::string text) {
     plan_.problems.push_back({gateway, deployment.name, std::move(text)});
   }
 

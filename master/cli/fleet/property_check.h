@@ -16,7 +16,7 @@ struct DeclaredPlugin {
   config::DriverDeclaration declaration;
 };
 /// The declarations of a deployment's plugin: they may differ from gateway to gateway.
-using FindDeclarations = std::function<std::vector<DeclaredPlugin>(const Deployment&)>;
+using FindDeclarations = std::function<std::vector<DeclaredPlugin>(const ManifestDeployment&)>;
 
 /// Finds what is wrong with the properties of one instance, each problem once. \return a line for each: empty, nothing
 std::vector<config::PropertyProblem> property_problems(const config::Properties& properties,

@@ -245,7 +245,7 @@ class Metrics final : public OfTopology {
     at_ = now;
   }
 
-  Watch watch_;
+  WatchOption watch_;
   bool rates_ = false;
   std::optional<TopologyPages> pages_;
   TopologyPages::Json metrics_;

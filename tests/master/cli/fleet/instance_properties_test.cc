@@ -23,7 +23,7 @@ constexpr const char* station = R"({"driver":"station","properties":[
   {"name":"api_key","type":"integer"},
   {"name":"site","type":"text","required":true,"text":"where it stands"}]})";
 
-std::vector<DeclaredPlugin> declared(const Deployment&) {
+std::vector<DeclaredPlugin> declared(const ManifestDeployment&) {
   return {{"station.so", config::parse_declaration(station)}};
 }
 
@@ -73,8 +73,8 @@ TEST(PropertyCheck, AllMistakesOfAManifestAreToldAtOnceEachWithItsLine) {
 
 TEST(PropertyCheck, WhatAPluginDeclaresNothingOfIsAccepted) {
   const auto manifest = read_fleet("  a: {plugin: a.so, gateways: all, properties: {any: thing}}\n");
-  EXPECT_NO_THROW(check_properties(manifest, [](const Deployment&) { return std::vector<DeclaredPlugin>{}; }));
-  EXPECT_NO_THROW(check_properties(manifest, [](const Deployment&) {
+  EXPECT_NO_THROW(check_properties(manifest, [](const ManifestDeployment&) { return std::vector<DeclaredPlugin>{}; }));
+  EXPECT_NO_THROW(check_properties(manifest, [](const ManifestDeployment&) {
     return std::vector<DeclaredPlugin>{{"a.so", config::DriverDeclaration{}}};
   }));
 }

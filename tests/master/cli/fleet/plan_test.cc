@@ -15,8 +15,8 @@ using testing::Pair;
 using testing::SizeIs;
 using testing::UnorderedElementsAre;
 
-Deployment deployment(const std::string& name, std::vector<std::string> gateways, int count = 1) {
-  Deployment deployment;
+ManifestDeployment deployment(const std::string& name, std::vector<std::string> gateways, int count = 1) {
+  ManifestDeployment deployment;
   deployment.name = name;
   deployment.plugin = "meter.so";
   deployment.all_gateways = gateways.empty();
@@ -28,7 +28,7 @@ Deployment deployment(const std::string& name, std::vector<std::string> gateways
 }
 
 /// As that deployment orders it.
-Fleet::Instance instance(const Deployment& from, const std::string& gateway, int index,
+Fleet::Instance instance(const ManifestDeployment& from, const std::string& gateway, int index,
                          const std::string& manager = "lab") {
   Fleet::Instance there{from,
                         discovery::GatewayId(gateway),
