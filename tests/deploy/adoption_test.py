@@ -1,7 +1,5 @@
 #!/usr/bin/python3
-"""The shipped units of the gateway and of its driver hosts, under a systemd that is the first process of a space of processes
-and mounts of its own, with no unit but those given here and the users that the shipped file for systemd-sysusers makes. Such
-spaces take root; who may not have them skips this test.
+"""The shipped units of the gateway and of its driver hosts, under a systemd of their own (booted.py).
 
 - With `--hosts-as iotcloud-host`: a driver runs as another user than its gateway, neither of them root, and reaches neither
   its secrets nor its process, nor an address that the unit does not allow. Without it does, which shows that the attacks are some.
@@ -15,43 +13,18 @@ import argparse
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "servers"))
+from booted import BootedCluster, require_means, status_of, with_own_programs
+from private_cluster import free_port, require, wait_for
 
-from private_cluster import PrivateCluster, free_port, require, wait_for  # noqa: E402
-
-SKIPPED = 77
-SYSTEMD = "/lib/systemd/systemd"
 UNIT, HOST_UNITS = "iotcloud-gateway.service", ["iotcloud-host.socket", "iotcloud-host@.service"]
 # What a driver may do to its gateway, and what comes of it if it is another user. In /proc it does not even see it.
 ATTACKS = {"signal_to_victim": "EPERM", "ptrace_of_victim": "EPERM", "memory_of_victim": "ENOENT", "environment_of_victim": "ENOENT",
            "secret_file": "EACCES", "forbidden_file": "EACCES", "root_again": "EPERM", "near": "ok", "far": "EPERM"}
 # Those that succeed against a gateway of the same user, on every machine.
 SUCCEED = ["signal_to_victim", "environment_of_victim", "secret_file", "forbidden_file"]
-GROUPS = Path("/sys/fs/cgroup")
 
-# In its own space of mounts. What the unit calls /usr/bin, /etc/iotcloud and /var/lib is empty there but for what the
-# test needs; SYSTEMD_UNIT_PATH leaves out all units of this machine.
-BOOT = """
-set -e
-mount --make-rprivate /
-mount -t proc proc /proc
-for folder in /run /opt /var/lib /sys/fs/cgroup; do mount -t tmpfs -o mode=0755 tmpfs $folder; done
-{groups}
-mkdir /opt/units /opt/iotcloud
-cp -a /etc /run/etc
-mount --bind /run/etc /etc
-systemd-sysusers {users}
-cp {files} /opt/iotcloud
-cp -r {units}/* /opt/units
-install -m 0600 -o iotcloud-gateway -g iotcloud-gateway {secret} /opt/iotcloud
-exec env -i container=iotcloud-test PATH=/usr/bin:/bin SYSTEMD_UNIT_PATH=/opt/units {systemd} --system --unit=test.target \\
-  --log-target=console --show-status=no
-"""
 NETWORK = """
 [Service]
 IPAddressDeny=any
@@ -65,76 +38,15 @@ ReadWritePaths=/run
 """
 
 
-def skip(why):
-    print(f"SKIPPED: {why}")
-    sys.exit(SKIPPED)
-
-
-class Space:
-    """Groups of processes (cgroups) for a systemd that is not this machine's, and the words that begin its spaces."""
-
-    def __init__(self, name):
-        self.unified = (GROUPS / "cgroup.procs").exists()
-        # With version 1 there is a tree for each controller; systemd makes groups in all that it finds.
-        trees = [GROUPS] if self.unified else [file.parent for file in GROUPS.glob("*/cgroup.procs") if not file.parent.is_symlink()]
-        self.groups = [tree / name for tree in trees]
-        if not self.groups:
-            skip(f"no cgroups in {GROUPS}")
-        for group in self.groups:
-            try:
-                group.mkdir()
-            except OSError as error:
-                self.remove()
-                skip(f"no cgroup of its own: {error}")
-            for setting in ("cpuset.cpus", "cpuset.mems"):  # without them nobody may be in the group
-                if (group / setting).exists() and not self.unified:
-                    (group / setting).write_text((group.parent / setting).read_text())
-
-    def enter(self):
-        """Words before a command, which make it the first process of its space, in these groups."""
-        join = "; ".join(f"echo $$ >{group}/cgroup.procs" for group in self.groups)
-        return ["/bin/sh", "-c", f'set -e; {join}; exec unshare --mount --pid --cgroup --uts --ipc --fork --kill-child "$@"', "sh"]
-
-    def mounts(self):
-        """Commands in its space of mounts, after which these groups are all that it sees."""
-        if self.unified:
-            return f"mount -t cgroup2 cgroup {GROUPS}"
-        return "\n".join(f"mkdir {tree}; mount -t {kind} cgroup {tree}" for tree, kind in (
-            (GROUPS / "systemd", "cgroup -o none,name=systemd"), (GROUPS / "unified", "cgroup2")) if tree.exists())
-
-    def remove(self):
-        """When all processes have ended, which the kernel does soon after the first one's end."""
-        for group in self.groups:
-            wait_for(f"{group} is empty", lambda group=group: self.removed(group))
-
-    @staticmethod
-    def removed(group):
-        try:
-            for folder, _, _ in os.walk(group, topdown=False):
-                os.rmdir(folder)
-        except OSError:
-            return False
-        return True
-
-
-class Machine(PrivateCluster):
-    def boot(self, units, test_plugins, kill_mode, hosts_as):
+class Machine(BootedCluster):
+    def boot_gateway(self, units, test_plugins, kill_mode, hosts_as):
         """systemd with the units of the gateway and its hosts; the programs' paths in them are other ones."""
-        self.space = Space(f"iotcloud-adoption-{os.getpid()}")
-        own = self.out / "units"
-        own.mkdir()
+        known = {"iotcloud-host@.service.d/network.conf": NETWORK}
         for unit in [UNIT, *HOST_UNITS]:
-            text = (units / unit).read_text().replace("/usr/bin/iotcloud-", "/opt/iotcloud/iotcloud-") \
-                .replace("/etc/iotcloud/", "/opt/iotcloud/")
+            text = with_own_programs((units / unit).read_text()).replace("/etc/iotcloud/", "/opt/iotcloud/")
             if kill_mode:
                 text = text.replace("KillMode=process", f"KillMode={kill_mode}")
-            (own / unit).write_text(text + (DROP_IN if unit == UNIT else ""))
-        network = own / "iotcloud-host@.service.d/network.conf"
-        network.parent.mkdir()
-        network.write_text(NETWORK)
-        for name in ("sysinit", "basic", "sockets", "network-online", "shutdown", "umount"):
-            (own / f"{name}.target").write_text("[Unit]\nDefaultDependencies=no\n")
-        (own / "test.target").write_text(f"[Unit]\nDefaultDependencies=no\nWants={UNIT}\n")
+            known[unit] = text + (DROP_IN if unit == UNIT else "")
         (self.out / "gateway.yaml").write_text(f"""
 id: gateway-1
 registry: "{self.zookeeper}"
@@ -151,19 +63,8 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
         secret.write_text("anna:admin:...")
         files = [self.bin / "iotcloud-gateway", self.bin / "iotcloud-driver-host", self.plugins / "loadgen.so",
                  test_plugins / "confined.so", self.out / "gateway.yaml"]
-        boot = BOOT.format(files=" ".join(map(str, files)), units=own, systemd=SYSTEMD, secret=secret,
-                           users=units / "iotcloud.sysusers", groups=self.space.mounts())
-        self.spawn("systemd", [*self.space.enter(), "/bin/sh", "-c", boot])
+        self.boot(units, known, [UNIT], files, f"install -m 0600 -o iotcloud-gateway -g iotcloud-gateway {secret} /opt/iotcloud")
         self.gateways = 1
-
-    def stop(self, limit=10):
-        for name, child in self.children:
-            if name == "systemd":  # SIGTERM would only make it start itself again; with it all of its space ends
-                child.kill()
-                child.wait()
-        super().stop(limit)
-        if hasattr(self, "space"):
-            self.space.remove()
 
     def gateway(self):
         """Process id of the gateway, 0 when there is none."""
@@ -174,13 +75,6 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
             except OSError:
                 pass  # it has ended since it was listed
         return 0
-
-    def first(self):
-        return next(process for process in self.descendants() if Path(f"/proc/{process}/comm").read_text() == "systemd\n")
-
-    def systemctl(self, *words):
-        return subprocess.run(["nsenter", "--target", str(self.first()), "--mount", "--pid", "systemctl", *words], capture_output=True,
-                              text=True, timeout=60, check=False, env={"PATH": "/usr/bin:/bin"})
 
     def driver(self, name="loadgen"):
         found = [driver for driver in self.json("drivers") if driver["driver"] == name]
@@ -205,11 +99,6 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
         return self.json("describe", self.driver("confined")["instance"]).get("metadata", {})
 
 
-def status_of(process, key):
-    """Words of a line in a process's status."""
-    return next(line.split()[1:] for line in Path(f"/proc/{process}/status").read_text().splitlines() if line.startswith(key + ":"))
-
-
 def check_users(machine):
     """Gateway and hosts: two users, of which none is root or has a capability."""
     gateway, host = machine.gateway(), machine.hosts()[0]
@@ -227,14 +116,13 @@ def main():
     options.add_argument("--kill-mode", help="instead of the unit's, to see this test fail")
     options.add_argument("--hosts-as", choices=["iotcloud-host"], help="a user of their own; without: the gateway's")
     given = options.parse_args()
-    if os.geteuid() != 0 or not Path(SYSTEMD).exists() or not shutil.which("unshare"):
-        skip("root, systemd and unshare are needed")
+    require_means()
     out = given.build.resolve() / ("hosts_of_another_user" if given.hosts_as else "adoption")
     shutil.rmtree(out, ignore_errors=True)
     with Machine(out, given.build / "bin", given.build / "plugins") as machine:
         machine.start(gateways=0, brokers=[])
-        machine.boot(given.units.resolve(), given.build.resolve() / "tests/gateway/plugins", given.kill_mode,
-                     given.hosts_as)
+        machine.boot_gateway(given.units.resolve(), given.build.resolve() / "tests/gateway/plugins", given.kill_mode,
+                             given.hosts_as)
         machine.wait_until_ready()
         machine.cli("deploy", "loadgen.so", "--gateway", "gateway-1", "--property", "rate=1")
         wait_for("the driver is active", lambda: machine.driver()["state"] == "active")

@@ -54,7 +54,7 @@ class Units(unittest.TestCase):
         self.assertEqual([line for line in gateway if line.startswith("KillMode=")], ["KillMode=process"])
 
     def test_users_that_they_name_are_made(self):
-        made = {line.split()[1] for line in (UNITS / "iotcloud.sysusers").read_text().splitlines() if line.startswith("u ")}
+        made = {line.split()[1] for line in (UNITS / "iotcloud.sysusers").read_text().splitlines() if line.startswith(("u ", "g "))}
         named = {line.split("=")[1] for file in UNITS.glob("iotcloud-*") for line in file.read_text().splitlines()
                  if line.startswith(("User=", "SocketUser=", "SupplementaryGroups=iotcloud"))}
         self.assertEqual(named, made)
