@@ -9,6 +9,7 @@
 
 #include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/master/api/wire.h>
 #include <iotcloud/master/cli/master_client.h>
 #include <iotcloud/rpc/listen_settings.h>
@@ -55,6 +56,15 @@ rpc::HostAndPort split(const std::string& address) {
   }
 }
 
+/// Why a token must not go to this address: without TLS everybody on the way reads it. Empty if it may.
+std::string open_way(const MasterAccess& access, const std::string& address) {
+  if (access.token.empty() || !access.tls.empty() || config::is_loopback(split(address).host)) return "";
+  return fmt::format(
+      "the master {} is not on this machine, and without TLS everybody on the way there could read the token: give "
+      "--ca, --certificate and --key, or the address of a tunnel on 127.0.0.1",
+      address);
+}
+
 }  // namespace
 
 struct MasterClient::Impl {
@@ -74,9 +84,10 @@ struct MasterClient::Impl {
     return no_tls ? fmt::format("{} (does it ask for TLS? --ca, --certificate and --key)", e.what()) : e.what();
   }
 
-  /// \throws TException when there is no master at this address.
+  /// \throws TException when there is no master at this address; Failed when it must not see the token.
   void connect(const std::string& to) {
     client.reset();
+    if (const auto why = open_way(access, to); !why.empty()) throw Failed(why);
     const auto [host, port] = split(to);
     rpc::ThriftClientOptions options;
     options.host = host;
@@ -218,7 +229,10 @@ struct MasterClient::Impl {
 
 MasterClient::MasterClient(std::vector<std::string> addresses, MasterAccess access, milliseconds election_patience)
     : impl_(std::make_unique<Impl>()) {
-  for (const auto& address : addresses) split(address);
+  for (const auto& address : addresses) {
+    split(address);
+    if (const auto why = open_way(access, address); !why.empty()) throw std::invalid_argument(why);
+  }
   impl_->addresses = std::move(addresses);
   impl_->access = std::move(access);
   impl_->election_patience = election_patience;

@@ -36,7 +36,8 @@ struct MasterAccess {
 /// Speaks with the masters of one fleet: asks any that answers, and follows the leader with orders. Used by one thread.
 class MasterClient {
  public:
-  /// \param addresses "host:port" of some masters. \throws std::invalid_argument for an invalid address.
+  /// \param addresses "host:port" of some masters. \throws std::invalid_argument for an invalid address, and for one of
+  /// another machine if there is a token and no TLS.
   /// \param election_patience how long an order is tried again while no master leads.
   MasterClient(std::vector<std::string> addresses, MasterAccess access, std::chrono::milliseconds election_patience);
   ~MasterClient();

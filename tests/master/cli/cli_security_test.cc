@@ -1,20 +1,29 @@
 // The way from nothing to a master that others may reach: `certs init`, `token add`, the daemon's file, the options.
+#include <array>
 #include <filesystem>
 #include <fstream>
+#include <memory>
+#include <mutex>
+#include <thread>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
+#include <sys/socket.h>
 #include <unistd.h>
 
+#include "iotcloud/master/TMasterAPIService.h"
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/access.h>
 #include <iotcloud/master/master_service.h>
+#include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/registry_password.h>
 #include <iotcloud/security/renewals.h>
 #include <iotcloud/security/tls.h>
+#include <iotcloud/security/tokens.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/loopback_listener.h>
 #include <iotcloud/tests/master/process.h>
 #include <iotcloud/tests/security/certificates.h>
 #include <iotcloud/tests/servers/free_port.h>
@@ -26,6 +35,72 @@ using testing::AllOf;
 using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::Not;
+
+/// Keeps what clients say to it, and closes their connections. Thread safe.
+class RecordingListener {
+ public:
+  RecordingListener() : thread_([this] { record(); }) {}
+  ~RecordingListener() { shutdown(listener_.socket(), SHUT_RDWR); }
+  RecordingListener(const RecordingListener&) = delete;
+  RecordingListener& operator=(const RecordingListener&) = delete;
+
+  std::string at(const std::string& host) const { return host + ":" + std::to_string(listener_.port()); }
+  std::string heard() {
+    const std::lock_guard lock(mutex_);
+    return heard_;
+  }
+
+ private:
+  void record() {
+    for (int client = listener_.accept(); client >= 0; client = listener_.accept()) {
+      std::array<char, 4096> bytes{};
+      const auto size = recv(client, bytes.data(), bytes.size(), 0);
+      {
+        const std::lock_guard lock(mutex_);
+        heard_.append(bytes.data(), size > 0 ? static_cast<std::size_t>(size) : 0);
+      }
+      close(client);
+    }
+  }
+
+  tests::LoopbackListener listener_;
+  std::mutex mutex_;
+  std::string heard_;    ///< guarded by mutex_
+  std::jthread thread_;  ///< last: it uses the others
+};
+
+/// A master that keeps the token that it was shown, takes everybody in, and names another one as the leader. Thread
+/// safe.
+class PlayedMaster final : public wire::TMasterAPIServiceNull {
+ public:
+  explicit PlayedMaster(std::string leader = "") : leader_(std::move(leader)) {}
+  void authenticate(discovery::wire::TResponse& answer, const std::string& token) override {
+    const std::lock_guard lock(mutex_);
+    token_ = token;
+    answer.__set_state(discovery::wire::TResponseState::SUCCESS);
+  }
+  void drain(wire::TOrderResponse& answer, const wire::TGatewaySelection&) override {
+    answer.__set_refusal(wire::TRefusal::NOT_LEADING);
+    answer.__set_leader(leader_);
+  }
+  std::string token() {
+    const std::lock_guard lock(mutex_);
+    return token_;
+  }
+
+ private:
+  const std::string leader_;
+  std::mutex mutex_;
+  std::string token_;  ///< guarded by mutex_
+};
+
+std::unique_ptr<rpc::ThriftServer> serve_played(const std::shared_ptr<PlayedMaster>& master,
+                                                const security::TlsFiles& tls = {}) {
+  rpc::ThriftServerOptions options;
+  options.tls = tls;
+  return std::make_unique<rpc::ThriftServer>(
+      options, [p = std::make_shared<wire::TMasterAPIServiceProcessor>(master)](const auto&) { return p; });
+}
 
 class CliSecurity : public testing::Test {
  protected:
@@ -194,6 +269,30 @@ TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
   service->reload();
   EXPECT_EQ(ask(both).status, 1);
   service->stop(std::chrono::seconds(5));
+}
+
+TEST_F(CliSecurity, NoTokenIsSentInClearToAnotherMachine) {
+  RecordingListener stranger;
+  const std::string token = folder_ / "anna.token";
+  std::ofstream(token) << "anna.secret\n";
+  run({"--master", stranger.at("127.0.0.1"), "--token-file", token, "gateways"});
+  ASSERT_THAT(stranger.heard(), HasSubstr("anna.secret")) << "on this machine, and so it would be heard elsewhere";
+  RecordingListener far;
+  const auto refused = run({"--master", far.at("0.0.0.0"), "--token-file", token, "gateways"});
+  EXPECT_EQ(refused.status, 2);
+  EXPECT_THAT(refused.err, AllOf(HasSubstr("is not on this machine"), HasSubstr("--ca, --certificate and --key"),
+                                 HasSubstr("a tunnel on 127.0.0.1")));
+  EXPECT_EQ(far.heard(), "");
+  // A standby of this machine that names a leader elsewhere.
+  const auto standby = serve_played(std::make_shared<PlayedMaster>(far.at("0.0.0.0")));
+  const auto sent_on =
+      run({"--master", "127.0.0.1:" + std::to_string(standby->port()), "--token-file", token, "drain", "lab1"});
+  EXPECT_EQ(sent_on.status, 1);
+  EXPECT_THAT(sent_on.err, HasSubstr("is not on this machine"));
+  EXPECT_EQ(far.heard(), "");
+  // Without a token there is nothing to hide.
+  run({"--master", far.at("0.0.0.0"), "gateways"});
+  EXPECT_THAT(far.heard(), HasSubstr("getStatus"));
 }
 
 TEST_F(CliSecurity, AuditVerifyNamesTheLineThatWasChanged) {
