@@ -29,7 +29,7 @@ START_LIMIT_S = 300
 
 
 ORDER_KEYS = {f"{master}.orders.pub": f"{master}.orders.pub" for master in MASTERS}
-OPERATOR = {name: name for name in ("ca.pem", "operator.pem", "operator.key", "admin.token")}
+OPERATOR = {name: name for name in ("ca.pem", "revoked.pem", "operator.pem", "operator.key", "admin.token")}
 
 
 def host_files(name):

@@ -19,8 +19,9 @@ constexpr const char* footer =
     "Exit status: 0 done; 1 failed, for all or for some, or the outcome is not known; 2 wrong usage, or a manifest "
     "that\n"
     "cannot be used; 3 no master answers; 4 diff and apply --dry-run: the fleet is not as the manifest says.\n"
-    "Environment: IOTCLOUD_MASTER as --master; IOTCLOUD_CA, IOTCLOUD_CERTIFICATE and IOTCLOUD_KEY as --ca, "
-    "--certificate and --key; IOTCLOUD_TOKEN_FILE as --token-file, or the token itself in IOTCLOUD_TOKEN.";
+    "Environment: IOTCLOUD_MASTER as --master; IOTCLOUD_CA, IOTCLOUD_CERTIFICATE, IOTCLOUD_KEY and IOTCLOUD_REVOKED "
+    "as --ca, --certificate, --key and --revoked; IOTCLOUD_TOKEN_FILE as --token-file, or the token itself in "
+    "IOTCLOUD_TOKEN.";
 
 void declare(CLI::App& app, Call& call, std::string& token_file) {
   app.footer(footer);
@@ -41,6 +42,8 @@ void declare(CLI::App& app, Call& call, std::string& token_file) {
   add_file("--ca", tls.ca, "the certificate of the masters' authority: speak TLS with them", "IOTCLOUD_CA");
   add_file("--certificate", tls.certificate, "the certificate to show them", "IOTCLOUD_CERTIFICATE");
   add_file("--key", tls.key, "its private key", "IOTCLOUD_KEY");
+  add_file("--revoked", tls.revoked, "masters whose certificates are on this list are not spoken with (revoked.pem)",
+           "IOTCLOUD_REVOKED");
 }
 
 /// Reads the credentials for the masters. \throws CLI::ParseError
@@ -54,8 +57,9 @@ void identify(Call& call, const std::string& token_file) {
     call.access.token = token;
   }
   const auto& tls = call.access.tls;
-  if (tls.empty() || (!tls.ca.empty() && !tls.certificate.empty() && !tls.key.empty())) return;
-  throw CLI::ValidationError("--ca, --certificate, --key", "give all three, or none: a master asks for a certificate");
+  if (tls == security::TlsFiles{} || (!tls.ca.empty() && !tls.certificate.empty() && !tls.key.empty())) return;
+  throw CLI::ValidationError("--ca, --certificate, --key",
+                             "give all three, or none and no --revoked: a master asks for a certificate");
 }
 
 /// Runs a verb. An error becomes a message and an exit status.

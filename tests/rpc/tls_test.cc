@@ -328,6 +328,18 @@ TEST_F(Tls, ARevokedCertificateIsCutOffAtOnceAlsoOnAnOpenConnectionAndOthersGoOn
   EXPECT_EQ(ask(ThriftClient(client(own.of("operator")))), "hello");
 }
 
+TEST_F(Tls, AServerWhoseCertificateIsRevokedIsNotSpokenWith) {
+  const security::test::Certificates own;
+  options_.tls = own.of("lab1");
+  serve();
+  security::make_revocations(own.authority());
+  auto tls = own.of("operator");
+  tls.revoked = security::revocations_file(own.authority());
+  EXPECT_EQ(error_of(client(tls)), "");
+  security::revoke_certificate(own.authority(), "lab1");
+  EXPECT_THAT(error_of(client(tls)), HasSubstr("certificate revoked"));
+}
+
 TEST_F(Tls, UnderLoadARevokedCertificateIsCutOffAndARenewedOneShownAndNoOtherCallIsLost) {
   const security::test::Certificates own;
   own.authority().certify_caller("thief");

@@ -295,6 +295,33 @@ TEST_F(CliSecurity, NoTokenIsSentInClearToAnotherMachine) {
   EXPECT_THAT(far.heard(), HasSubstr("getStatus"));
 }
 
+TEST_F(CliSecurity, AMasterWhoseCertificateIsRevokedDoesNotSeeTheToken) {
+  const security::test::Certificates certificates;
+  const auto& authority = certificates.authority();
+  const auto master = std::make_shared<PlayedMaster>();
+  const auto server = serve_played(master, certificates.of("lab1"));
+  const auto own = certificates.of("operator");
+  const std::string token = folder_ / "anna.token";
+  const auto ask = [&](const std::string& shown) {
+    std::ofstream(token) << shown << "\n";
+    return run({"--master", "localhost:" + std::to_string(server->port()), "--ca", own.ca, "--certificate",
+                own.certificate, "--key", own.key, "--revoked", security::revocations_file(authority), "--token-file",
+                token, "gateways"});
+  };
+  security::make_revocations(authority);
+  ask("first");
+  EXPECT_EQ(master->token(), "first");
+  security::revoke_certificate(authority, "lab1");
+  const auto refused = ask("second");
+  EXPECT_EQ(refused.status, 3);
+  EXPECT_THAT(refused.err, HasSubstr("certificate revoked"));
+  EXPECT_EQ(master->token(), "first");
+
+  const auto alone = run({"--revoked", security::revocations_file(authority), "gateways"});
+  EXPECT_EQ(alone.status, 2) << "a list without TLS would be of no use";
+  EXPECT_THAT(alone.err, HasSubstr("give all three"));
+}
+
 TEST_F(CliSecurity, AuditVerifyNamesTheLineThatWasChanged) {
   const std::string file = folder_ / "audit.log";
   {
