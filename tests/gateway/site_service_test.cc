@@ -7,6 +7,7 @@
 #include <thrift/protocol/TBinaryProtocol.h>
 #include <thrift/transport/TBufferTransports.h>
 #include <thrift/transport/TSocket.h>
+#include <unistd.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
 #include <iotcloud/gateway/site_service.h>
@@ -14,6 +15,7 @@
 #include <iotcloud/security/tokens.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
+#include <iotcloud/tests/rpc/as_nobody.h>
 #include <iotcloud/tests/security/certificates.h>
 
 namespace iotcloud::gateway {
@@ -303,6 +305,44 @@ TEST_F(SiteServiceTest, WithTlsAndTokensAViewerReadsAndDeploysNothing) {
   EXPECT_THROW(client_->offerPlugin(upload, {}), wire::TSiteError);
   EXPECT_THROW(client_->sendPlugin("x", 0, "bytes"), wire::TSiteError);
   EXPECT_TRUE(nothing_is_ordered());
+}
+
+TEST_F(SiteServiceTest, OverLoopbackWithoutATokenAnotherUserReadsAndOrdersNothing) {
+  if (geteuid() != 0) GTEST_SKIP() << "only root can make a socket of another user";
+  ASSERT_EQ(deploy().state, TResponseState::SUCCESS) << "the daemon's own user";
+  const std::string id = registry_->children(paths_.orders("gw"_gateway))->at(0);
+  transport_->close();
+  {
+    const rpc::test::AsNobody nobody;
+    connect();
+  }
+  wire::TPing ping;
+  client_->ping(ping);
+  EXPECT_EQ(ping.gateway, "gw");
+  std::vector<wire::TStateChange> changes;
+  client_->getChanges(changes, id);
+  EXPECT_FALSE(changes.empty());
+
+  const auto refused = deploy();
+  EXPECT_EQ(refused.state, TResponseState::FAILURE);
+  EXPECT_THAT(refused.statusMessage, HasSubstr("be root or the daemon's own user"));
+  for (const auto call : {&wire::TSensorSiteServiceClient::startSensor, &wire::TSensorSiteServiceClient::stopSensor,
+                          &wire::TSensorSiteServiceClient::unDeploySensor}) {
+    TResponse answer;
+    ((*client_).*call)(answer, id);
+    EXPECT_EQ(answer.state, TResponseState::FAILURE);
+    EXPECT_THAT(answer.statusMessage, HasSubstr("be root or the daemon's own user"));
+  }
+  discovery::wire::THandedMessage message;
+  message.__set_instance(id);
+  message.__set_channel("control");
+  discovery::wire::TChannelLook look;
+  EXPECT_THROW(client_->handMessage(look, message), wire::TSiteError);
+  std::string upload;
+  EXPECT_THROW(client_->offerPlugin(upload, {}), wire::TSiteError);
+  EXPECT_THROW(client_->sendPlugin("x", 0, "bytes"), wire::TSiteError);
+  EXPECT_EQ(registry_->children(paths_.orders("gw"_gateway))->size(), 1U);
+  EXPECT_EQ(record(id, "probe")->state, DriverState::active);
 }
 
 TEST_F(SiteServiceTest, AMastersTokenReadsAndSendsPluginsAndOrdersNothing) {

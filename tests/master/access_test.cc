@@ -9,7 +9,6 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
-#include <sys/fsuid.h>
 #include <thrift/TApplicationException.h>
 #include <thrift/transport/TTransportException.h>
 #include <unistd.h>
@@ -25,6 +24,7 @@
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/master/fleet.h>
+#include <iotcloud/tests/rpc/as_nobody.h>
 #include <iotcloud/tests/security/certificates.h>
 
 namespace iotcloud::master {
@@ -525,18 +525,6 @@ TEST_F(Access, AViewerSeesNoBrokersPassword) {
   }
 }
 
-/// Sockets that this thread makes belong to another user of the machine.
-class AsNobody {
- public:
-  AsNobody() { setfsuid(nobody); }
-  ~AsNobody() { setfsuid(geteuid()); }
-  AsNobody(const AsNobody&) = delete;
-  AsNobody& operator=(const AsNobody&) = delete;
-
- private:
-  static constexpr uid_t nobody = 65534;
-};
-
 class LoopbackAccess : public Access {
  protected:
   void SetUp() override {
@@ -549,7 +537,7 @@ class LoopbackAccess : public Access {
   wire::TOrderResponse deploy_as_nobody() {
     std::optional<wire::TMasterAPIServiceClient> client;
     {
-      const AsNobody nobody;
+      const rpc::test::AsNobody nobody;
       client.emplace(connect());
     }
     std::vector<discovery::wire::TSensor> drivers;
