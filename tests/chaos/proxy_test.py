@@ -4,10 +4,14 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import unittest
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE))
+
+import proxy  # noqa: E402
 LIMIT_S = 60
 
 
@@ -18,6 +22,7 @@ class Echo:
         self.listener = socket.create_server(("127.0.0.1", 0))
         self.port = self.listener.getsockname()[1]
         self.ended = threading.Semaphore(0)  # one for each connection that its client has ended
+        self.got, self.more = b"", threading.Condition()
         threading.Thread(target=self.accept, daemon=True).start()
 
     def accept(self):
@@ -32,10 +37,18 @@ class Echo:
         try:
             with connection:
                 while data := connection.recv(65536):
+                    with self.more:
+                        self.got += data
+                        self.more.notify_all()
                     connection.sendall(data)
         except OSError:
             pass
         self.ended.release()
+
+    def gets(self, text, limit):
+        """Whether this comes within so many seconds."""
+        with self.more:
+            return self.more.wait_for(lambda: text in self.got, limit)
 
 
 class ProxyTest(unittest.TestCase):
@@ -133,19 +146,41 @@ class ProxyTest(unittest.TestCase):
         self.assertEqual(self.ask(self.connect(), b"four"), b"four")
 
     def test_a_link_of_one_way(self):
-        for mode in ("one_way_up", "one_way_down"):
+        for mode, text in (("one_way_up", b"one"), ("one_way_down", b"two")):
             client = self.connect()
+            self.assertEqual(self.ask(client, b"made"), b"made")
             self.assertEqual(self.say(f"{mode} way"), mode.upper())
-            client.sendall(b"one")
+            client.sendall(text)
+            up = mode == "one_way_up"
+            self.assertEqual(self.echo.gets(text, LIMIT_S if up else 0.2), up, mode)
             self.assert_silent(client)
             self.assertEqual(self.say("pass way"), "PASSES")
+            self.assertEqual(self.read(client, 3), text)
+
+    def test_a_link_of_one_way_down_passes_what_the_server_sends(self):
+        listener = socket.create_server(("127.0.0.1", 0))
+        self.addCleanup(listener.close)
+        self.port = int(self.say(f"link down 127.0.0.1:{listener.getsockname()[1]}"))
+        client = self.connect()
+        server, _ = listener.accept()
+        self.addCleanup(server.close)
+        server.settimeout(LIMIT_S)
+        for mode in ("one_way_down", "one_way_up"):
+            self.assertEqual(self.say(f"{mode} down"), mode.upper())
+            server.sendall(b"one")
+            if mode == "one_way_up":
+                self.assert_silent(client)
+                self.assertEqual(self.say("pass down"), "PASSES")
             self.assertEqual(self.read(client, 3), b"one")
 
-    def test_a_slow_link_passes_everything(self):
+    def test_a_slow_link_passes_everything_and_takes_its_time(self):
         client = self.connect()
+        self.assertEqual(self.ask(client, b"one"), b"one")
         self.assertEqual(self.say("slow way"), "SLOW")
-        text = bytes(3000)
+        text, began = bytes(6000), time.monotonic()
         self.assertEqual(self.ask(client, text), text)
+        # Each of the two ways needs this for the bytes. What was asked of the link before it was slow is not slowed.
+        self.assertGreater(time.monotonic() - began, len(text) / proxy.SLOW_BYTES_S)
 
     def test_a_wrong_command_is_answered(self):
         for command in ("cut other", "link way", "tickle way", ""):
