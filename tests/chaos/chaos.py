@@ -10,6 +10,7 @@ leaves them out.
 
 import argparse
 import datetime
+import hashlib
 import json
 import os
 import shutil
@@ -37,7 +38,7 @@ PLUGIN, NEXT_PLUGIN = "chaos_ledger_driver.so", "chaos_ledger_driver-2.so"
 SKIPPED = 77
 SPACES = "IOTCLOUD_CHAOS_HAS_ITS_SPACES"
 COLUMNS = ("seed", "broker", "minutes", "faults", "result", "actions", "messages", "duplicates", "converged_s", "took_s",
-           "commit", "when", "first violation", "commands", "drops")
+           "commit", "when", "first violation", "commands", "drops", "targets", "schedule", "patience", "left out")
 SHRINKING = 10  # runs after a violation, unless told otherwise
 
 
@@ -235,6 +236,7 @@ class Results:
         self.file = Path(file)
 
     def known(self):
+        """Lines of an earlier version lack the last columns."""
         if not self.file.exists():
             return []
         lines = [line.split("\t") for line in self.file.read_text().splitlines()[1:]]
@@ -242,7 +244,8 @@ class Results:
 
     def has(self, **key):
         """Never of changes that are not committed: nobody knows whether they are the same."""
-        return not key["commit"].endswith("-dirty") and any(all(line.get(name) == str(value) for name, value in key.items()) for line in self.known())
+        return not key["commit"].endswith("-dirty") and any(
+            all(line.get(name) == str(value) for name, value in key.items()) for line in self.known())
 
     def add(self, **line):
         self.file.parent.mkdir(parents=True, exist_ok=True)
@@ -315,8 +318,9 @@ def main():
         if given.print:
             print(schedule.text(actions, title), end="")
             continue
-        if given.runs > 1 and not given.again and results.has(seed=seed, broker=given.broker, minutes=f"{given.minutes:g}", faults=given.faults,
-                                          commit=commit()):
+        key = {"seed": seed, "broker": given.broker, "minutes": f"{given.minutes:g}", "faults": given.faults,
+               "targets": given.targets, "schedule": identity(given.schedule), "patience": given.patience, "commit": commit()}
+        if given.runs > 1 and not given.again and results.has(**key):
             log(f"seed {seed}: {results.file} has its result already")
             continue
         log(title)
@@ -326,16 +330,21 @@ def main():
         except Unavailable as error:
             print(f"SKIPPED chaos: {error}")
             sys.exit(SKIPPED)
-        results.add(seed=seed, broker=given.broker, minutes=f"{given.minutes:g}",
-                    faults=f"schedule {given.schedule}" if given.schedule else ", ".join(filter(None, (given.faults, run.left_out))), result="violated" if run.violations else "well", actions=len(actions), messages=run.messages,
-                    duplicates=run.duplicates, commands=run.commands, converged_s=f"{run.converged_s or 0:.1f}", took_s=f"{run.took_s:.0f}",
-                    commit=commit(), when=datetime.datetime.now().isoformat(timespec="seconds"),
-                    drops=told(run.drops), **{"first violation": run.violations[0] if run.violations else ""})
+        results.add(**key, result="violated" if run.violations else "well", actions=len(actions), messages=run.messages,
+                    duplicates=run.duplicates, commands=run.commands, converged_s=f"{run.converged_s or 0:.1f}",
+                    took_s=f"{run.took_s:.0f}", when=datetime.datetime.now().isoformat(timespec="seconds"),
+                    drops=told(run.drops), **{"left out": run.left_out,
+                                              "first violation": run.violations[0] if run.violations else ""})
         if run.violations:
             failed += 1
             if given.shrink:
                 smaller(given, seed, actions)
     sys.exit(1 if failed else 0)
+
+
+def identity(file):
+    """Of a schedule's file: its name, and a sum of its bytes, because it may be edited. Without a file it is empty."""
+    return f"{file.name} {hashlib.sha256(file.read_bytes()).hexdigest()[:12]}" if file else ""
 
 
 def smaller(given, seed, actions):

@@ -73,7 +73,7 @@ class AViolation(InAFolder):
         def one(_given, _seed, part, _name):
             lengths.append(len(part))
             return SimpleNamespace(violations=["lost"] if actions[-1] in part else [], messages=0, commands=0, duplicates=0,
-                                   converged_s=1.0, took_s=1.0, drops={})
+                                   converged_s=1.0, took_s=1.0, drops={}, left_out="")
 
         words = ["chaos.py", str(self.folder), "--schedule", str(file), "--results", str(self.folder / "results.tsv"),
                  "--out", str(self.folder), *options]
@@ -94,6 +94,57 @@ class AViolation(InAFolder):
         lengths, printed = self.run_chaos("--shrink", "0")
         self.assertEqual(lengths, [8])
         self.assertNotIn("smallest", printed)
+
+
+class ASeries(InAFolder):
+    """Of seeds 1 and 2, whose runs are all well; a part of each schedule cannot be done here."""
+
+    def seeds_run(self, *options, commit="c0ffee"):
+        """Calls the program; returns the seeds that were run."""
+        seeds = []
+
+        def one(_given, seed, _actions, _name):
+            seeds.append(seed)
+            return SimpleNamespace(violations=[], messages=7, commands=0, duplicates=0, converged_s=1.0, took_s=1.0, drops={},
+                                   left_out="no full disks")
+
+        words = ["chaos.py", str(self.folder), "--seed", "1", "--runs", "2", "--results", str(self.folder / "results.tsv"),
+                 *options]
+        with mock.patch.object(chaos, "one", one), mock.patch.object(chaos, "in_own_spaces", lambda: None), \
+                mock.patch.object(chaos, "commit", lambda: commit), mock.patch.object(sys, "argv", words), \
+                contextlib.redirect_stdout(io.StringIO()), self.assertRaises(SystemExit) as ended:
+            chaos.main()
+        self.assertEqual(ended.exception.code, 0)
+        return seeds
+
+    def test_goes_on_where_it_was_interrupted(self):
+        self.assertEqual(self.seeds_run("--runs", "1"), [1])
+        self.assertEqual(self.seeds_run(), [2])
+        self.assertEqual(self.seeds_run(), [])
+        self.assertEqual(self.seeds_run("--again"), [1, 2])
+        self.assertEqual([line["left out"] for line in chaos.Results(self.folder / "results.tsv").known()],
+                         4 * ["no full disks"])
+
+    def test_passes_over_no_seed_that_was_run_otherwise(self):
+        file = self.folder / "a.schedule"
+        file.write_text("1 kill worker-1 1\n")
+        self.assertEqual(self.seeds_run(), [1, 2])
+        for options in (("--faults", "kill"), ("--targets", "worker-1"), ("--patience", "61"), ("--minutes", "2"),
+                        ("--broker", "kafka"), ("--schedule", str(file))):
+            self.assertEqual(self.seeds_run(*options), [1, 2], options)
+            self.assertEqual(self.seeds_run(*options), [], options)
+        file.write_text("2 kill worker-1 1\n")
+        self.assertEqual(self.seeds_run("--schedule", str(file)), [1, 2], "the schedule was edited")
+        self.assertEqual(self.seeds_run(commit="f00d"), [1, 2])
+
+    def test_reads_the_lines_of_an_earlier_version(self):
+        columns = chaos.COLUMNS[:chaos.COLUMNS.index("targets")]
+        file = self.folder / "results.tsv"
+        file.write_text("\t".join(columns) + "\n" + "\t".join(f"a {name}" for name in columns) + "\n")
+        self.assertEqual(self.seeds_run(), [1, 2])
+        old, new, _ = chaos.Results(file).known()
+        self.assertEqual(old, {name: f"a {name}" for name in columns})
+        self.assertEqual((new["seed"], new["messages"], new["patience"]), ("1", "7", "60"))
 
 
 class Commit(InAFolder):
