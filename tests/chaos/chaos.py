@@ -34,6 +34,7 @@ from shrink import shrink  # noqa: E402
 
 RATE = 25  # messages a second of each instance
 INSTANCES = 2  # of each kind on each gateway
+QUIET_S = 2  # for so long who is not to send must be seen to be silent
 PLUGIN, NEXT_PLUGIN = "chaos_ledger_driver.so", "chaos_ledger_driver-2.so"
 SKIPPED = 77
 SPACES = "IOTCLOUD_CHAOS_HAS_ITS_SPACES"
@@ -101,6 +102,7 @@ class Run:
         log(f"{faults.passed():7.2f} s  all faults are over")
 
         self.violations += self.converge(cluster, instances, orders, healed)
+        self.violations += self.senders(cluster, self.patience_s)
         self.violations += checks.stays_grown(cluster, before, healed + self.patience_s - time.monotonic())
         self.load(cluster, False)
         self.violations += orders.violations + self.told(orders.start_stopped)
@@ -140,6 +142,25 @@ class Run:
                 return []
             if time.monotonic() > deadline:
                 return [f"not within {self.patience_s} s: {reason}" for reason in why]
+
+    @staticmethod
+    def senders(cluster, limit):
+        """Waits until the books say that those instances send which the command line lists as active, guests included, and
+        no others. Returns what is not so in the end."""
+        deadline, since = time.monotonic() + limit, ledger.accepted(cluster.books)
+        while True:
+            try:
+                active = [driver["instance"] for driver in cluster.json("drivers") if driver["state"] == "active"]
+                before = ledger.accepted(cluster.books)
+                cluster.pause(QUIET_S)
+                wrong = ledger.otherwise_than_listed(active, since, before, ledger.accepted(cluster.books))
+            except StartError as error:
+                wrong = [str(error)]
+            if not wrong:
+                return []
+            if time.monotonic() > deadline:
+                return [f"not within {limit} s: {reason}" for reason in wrong]
+            cluster.pause(0.1)
 
     @staticmethod
     def told(check):

@@ -96,6 +96,41 @@ class AViolation(InAFolder):
         self.assertNotIn("smallest", printed)
 
 
+class Senders(InAFolder):
+    """Two instances of which the books say what they accepted; at each pause those of `sending` accept a message more."""
+
+    def found(self, listed, *sending):
+        """`listed`: states by instance. `sending`: ids, at each look; the last ones from then on."""
+        now, looks, sent = [0.0], list(sending), dict.fromkeys(("a", "b"), 0)
+
+        def pause(seconds):
+            now[0] += seconds
+            if seconds != chaos.QUIET_S:
+                return
+            for instance in looks.pop(0) if len(looks) > 1 else looks[0]:
+                sent[instance] += 1
+                with open(self.folder / f"{instance}.sent", "a", encoding="ascii") as book:
+                    book.write(f"sent 7.1 {sent[instance]} {now[0]}\n")
+
+        world = SimpleNamespace(books=self.folder, pause=pause, json=lambda _what: [
+            {"instance": instance, "state": state} for instance, state in listed.items()])
+        with mock.patch.object(chaos.time, "monotonic", lambda: now[0]):
+            return chaos.Run.senders(world, 60)
+
+    def test_are_those_that_are_listed_as_active(self):
+        self.assertEqual(self.found({"a": "active", "b": "inactive"}, "a"), [])
+        self.assertEqual(self.found({"a": "active"}, "", "b", "", "ab", "a"), [], "they need a while")
+
+    def test_are_nobody_who_is_stopped_or_gone(self):
+        for listed in ({"a": "active", "b": "inactive"}, {"a": "active", "b": "failed"}, {"a": "active"}):
+            self.assertEqual(self.found(listed, "ab"),
+                             ["not within 60 s: b is not listed as active, and sends: 1 messages"])
+
+    def test_are_all_that_are_active(self):
+        self.assertEqual(self.found({"a": "active", "b": "active"}, "a"),
+                         ["not within 60 s: b is listed as active, and sends nothing"])
+
+
 class ASeries(InAFolder):
     """Of seeds 1 and 2, whose runs are all well; a part of each schedule cannot be done here."""
 

@@ -151,6 +151,20 @@ def silent(accounts, since):
     return wrong
 
 
+def accepted(folder):
+    """By instance, how many messages its channel accepted so far."""
+    return {book.stem: sum(words[0] == "sent" for words in lines(book)) for book in Path(folder).glob("*.sent")}
+
+
+def otherwise_than_listed(active, since, before, now):
+    """Sentences about instances that are listed as active and send nothing, or are not and send. `active`: ids; `since`,
+    `before` and `now`: as accepted() tells, when the wait began, when these were listed, and some time later."""
+    return [f"{instance[:8]} is listed as active, and sends nothing" for instance in sorted(active)
+            if now.get(instance, 0) <= since.get(instance, 0)] + \
+        [f"{instance[:8]} is not listed as active, and sends: {now[instance] - before.get(instance, 0)} messages"
+         for instance in sorted(set(now) - set(active)) if now[instance] > before.get(instance, 0)]
+
+
 def overlapping(runs):
     """An instance of which two ran at the same time: an earlier run wrote a line after a later one had begun."""
     return [f"run {earlier.name} went on for {earlier.last - later.begin:.2f} s after run {later.name} had begun"

@@ -49,6 +49,21 @@ class LedgerTest(unittest.TestCase):
         self.assert_wrong(ledger.silent([one], 3.0), "the second reader: no new message came")
         self.assertEqual(len(ledger.silent([one], 5.0)), 2)
 
+    def test_who_sends_is_listed_as_active_and_nobody_else(self):
+        since, before, now = {"a": 1, "gone": 9}, {"a": 5, "gone": 9, "new": 0}, {"a": 5, "gone": 9, "new": 2}
+        self.assertEqual(ledger.otherwise_than_listed(["a", "new"], since, before, now), [])
+        self.assertEqual(ledger.otherwise_than_listed(["a"], since, before, now),
+                         ["new is not listed as active, and sends: 2 messages"])
+        self.assertEqual(ledger.otherwise_than_listed(["a", "new", "gone", "other"], since, before, now),
+                         ["gone is listed as active, and sends nothing", "other is listed as active, and sends nothing"])
+
+    def test_what_was_accepted_is_counted_without_the_begins_and_ends_of_runs(self):
+        with tempfile.TemporaryDirectory() as folder:
+            Path(folder, "a.sent").write_text("run 7.1 1.0\nsent 7.1 1 1.5\nsent 7.1 2 2.5\nend 7.1 3.0\nrun 8.1 4.0\n")
+            Path(folder, "b.sent").write_text("run 7.1 1.0\n")
+            Path(folder, "b.came").write_text("7.1 1 99 0 1.6\n")
+            self.assertEqual(ledger.accepted(folder), {"a": 2, "b": 0})
+
     def test_a_ledger_without_any_message_that_came_is_wrong(self):
         self.assert_wrong(check([account(SPOOLED, [run()], [])]), "5 of 5 accepted messages")
 
