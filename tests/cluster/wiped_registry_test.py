@@ -1,8 +1,9 @@
 #!/usr/bin/python3
 """ZooKeeper loses all its data under a fleet. Nothing is undeployed: driver hosts go on, and gateways are frozen. A backup
 is imported, the gateways adopt it, and then everything is as ordered before: instances that run, that are stopped, that run
-a plugin which was sent, a gateway that drains, a topology that is deactivated. Masters answer again within the session's
-time-out (printed, and judged with --judge), and say meanwhile what they wait for.
+a plugin which was sent, a gateway that drains, a topology that is deactivated. Each gateway's /healthz says meanwhile that
+it is frozen. Masters answer again within the session's time-out (printed, and judged with --judge), and say what they wait
+for.
 
 usage: wiped_registry_test.py BUILD_DIR [--judge]
 """
@@ -10,15 +11,38 @@ usage: wiped_registry_test.py BUILD_DIR [--judge]
 import argparse
 import shutil
 import time
+import urllib.error
+import urllib.request
 
 from fault_cluster import FaultCluster, add_judge, judge
-from private_cluster import StartError, require, wait_for
+from private_cluster import StartError, free_port, require, wait_for
 
 TIMEOUT_S = 10
+WELL = 3 * [(200, "ok\n")]
 
 
 class Fleet(FaultCluster):
+    def daemon(self, program, name, configuration, enter=(), options=()):
+        if program == "iotcloud-gateway":
+            port = free_port()
+            self.probes[name] = f"http://127.0.0.1:{port}/healthz"
+            configuration += f'metrics: {{address: "127.0.0.1:{port}"}}\n'
+        return super().daemon(program, name, configuration, enter, options)
+
+    def health(self):
+        """(status, text) of each gateway."""
+        return [self.probe(url) for url in self.probes.values()]
+
+    @staticmethod
+    def probe(url):
+        try:
+            with urllib.request.urlopen(url, timeout=60) as answer:
+                return answer.status, answer.read().decode()
+        except urllib.error.HTTPError as error:
+            return error.code, error.read().decode()
+
     def begin(self):
+        self.probes = {}
         session = f"registry.session_timeout: {TIMEOUT_S}s"
         self.start(gateways=3, more=session, masters=2, of_masters=session)
         self.worker()
@@ -65,6 +89,7 @@ def main():
         before, hosts = fleet.ordered(), fleet.hosts()
         require(len(before[0]) == 5 and list(before[1].values()).count(True) == 1 and before[2] == ["inactive"], f"at first: {before}")
         require(len(hosts) >= 3, f"the hosts are {hosts}")
+        wait_for("all gateways are well", lambda: fleet.health() == WELL)
         backup = fleet.work / "backup.json"
         print(fleet.cli("registry", "export", backup).strip())
 
@@ -85,11 +110,15 @@ def main():
         # A gateway without instances, and one whose instances are stopped, are as frozen as the others.
         wait_for("all gateways are frozen", lambda: fleet.frozen() == 3)
         require(fleet.hosts() == hosts, f"the hosts were {hosts} and are {fleet.hosts()}")
+        ill = fleet.health()
+        require(all(status == 503 and "iotcloud registry adopt" in text for status, text in ill), f"the gateways' health: {ill}")
 
         print(fleet.cli("registry", "import", backup).strip())
         require(fleet.frozen() == 3, "gateways follow orders that nobody has adopted")
+        require(all(status == 503 for status, _ in fleet.health()), f"the gateways' health: {fleet.health()}")
         print(fleet.cli("registry", "adopt", "--all").strip())
         wait_for("all is as ordered", lambda: fleet.ordered() == before)
+        wait_for("all gateways are well", lambda: fleet.health() == WELL)
         require(fleet.hosts() == hosts, f"the hosts were {hosts} and are {fleet.hosts()}: something was undeployed meanwhile")
         fleet.cli("topology", "activate", "echo")
         fleet.cli("start", "--name", "stopped")
