@@ -1,7 +1,7 @@
 #!/usr/bin/python3
-"""Commands on a shared channel while instances move from one driver host to another (an update, one at a time), while a
-gateway has two hosts of one driver (two plugin files), and while these hosts are killed (SIGKILL) with all instances. Each
-command that the topology sent comes to its instance, in order, and no daemon counts one as dropped.
+"""Commands on a shared channel while instances move from one driver host to another (updates, one at a time and all at
+once), while a gateway has two hosts of one driver (two plugin files), and while these hosts are killed (SIGKILL) with all
+instances. Each command that the topology sent comes to its instance, in order, and no daemon counts one as dropped.
 
 usage: commands_test.py BUILD_DIR
 """
@@ -53,6 +53,10 @@ class Fleet(PrivateCluster):
         require(all(outcome["outcome"] == "done" for outcome in outcomes), f"not deployed: {outcomes}")
         self.instances += [outcome["instance"] for outcome in outcomes]
 
+    def update(self, plugin, *options):
+        done = self.run_cli("update", "--plugin", plugin, "--name", "updated", *options, limit=120)
+        require(done.returncode == 0, f"the update to {plugin} failed: {done}")
+
     def accounts(self):
         return [ledger.account(self.books, instance, ledger.BLOCKED, True, second_reader=False) for instance in self.instances]
 
@@ -92,10 +96,14 @@ def main():
         fleet.begin()
         fleet.add(FIRST, "updated", UPDATED)
         fleet.all_hear("before the update")
-        done = fleet.run_cli("update", "--plugin", SECOND, "--name", "updated", "--at-once", "1", limit=120)
-        require(done.returncode == 0, f"the update failed: {done}")
+        fleet.update(SECOND, "--at-once", "1")
         fleet.all_hear("after the update")
         fleet.count(f"{UPDATED} instances were updated, one at a time")
+        fleet.update(FIRST)
+        fleet.all_hear("after the update of all")
+        fleet.count(f"{UPDATED} instances were updated at once")
+        fleet.update(SECOND)
+        fleet.all_hear("after another one")
 
         fleet.add(FIRST, "others", OTHERS)
         require(len(fleet.hosts_of("gateway-1")) == 2, f"the hosts are {fleet.hosts_of('gateway-1')}")
