@@ -55,8 +55,8 @@ bolts:
 def ledger_topology(kinds=("spooled", "blocked"), **values):
     """YAML of the topology that enters what the ledger driver's channels send, and sends commands back. `values`: registry,
     metrics (a port), library, url (the broker's), books."""
-    spouts = "\n".join(f"  {kind}: {{broker: main, driver: ledger, channel: {kind}, fields: [data, driverID, time], "
-                       "parallelism: 2}" for kind in kinds)
+    spouts = "\n".join(f"  {kind}: {{broker: main, driver: ledger, channel: {kind}, "
+                       "fields: [data, driverID, time, redelivered], parallelism: 2}" for kind in kinds)
     inputs = "\n".join(f"      - {{from: {kind}, grouping: fields, fields: [driverID]}}" for kind in kinds)
     return TOPOLOGY.format(session=SESSION_S, heartbeat=HEARTBEAT_S, spouts=spouts, inputs=inputs, **values)
 

@@ -38,7 +38,7 @@ class Copy:
     run: str
     number: int
     time: float
-    marked: bool = False  # the broker's client said that it may have come before
+    marked: bool = False  # the reader was told that somebody may have had it before
     worker: str = ""  # of a copy that the topology's bolt had: the process
 
 
@@ -49,7 +49,7 @@ class Account:
     kind: str
     runs: list  # in order of their begin
     came: list  # copies that the topology's bolt had, in the order of their coming
-    read: list = None  # those that the second reader had, which sees marks; None: it does not read this instance
+    read: list = None  # those that the second reader had; None: it does not read this instance
     heard: list = None  # commands that the driver got; None: somebody may stop the instance, and they are not judged
 
 
@@ -78,7 +78,12 @@ def read_sent(file):
 
 
 def read_came(file):
-    return [Copy(run, int(number), float(moment), worker=process) for run, number, process, moment in lines(file)]
+    return [Copy(run, int(number), float(moment), marked == "1", process) for run, number, process, marked, moment in
+            lines(file)]
+
+
+def read_heard(file):
+    return [Copy(run, int(number), float(moment)) for run, number, _, moment in lines(file)]
 
 
 def read_read(file):
@@ -91,7 +96,7 @@ def account(folder, instance, kind, stays, second_reader=True):
     folder = Path(folder)
     return Account(instance, kind, read_sent(folder / f"{instance}.sent"), read_came(folder / f"{instance}.came"),
                    read_read(folder / f"{instance}.read") if stays and second_reader else None,
-                   read_came(folder / f"{instance}.heard") if stays else None)
+                   read_heard(folder / f"{instance}.heard") if stays else None)
 
 
 def check(accounts, emptied=()):
@@ -103,9 +108,8 @@ def check(accounts, emptied=()):
         for where, copies in (("the topology", one.came), ("the second reader", one.read)):
             if copies is None:
                 continue
-            found = missing(one, copies, lost_spans(one, copies, emptied)) + foreign(one, copies) + out_of_order(one, copies)
-            if where == "the second reader":
-                found += unmarked(copies)
+            found = missing(one, copies, lost_spans(one, copies, emptied)) + foreign(one, copies) + \
+                out_of_order(one, copies) + unmarked(copies)
             wrong += [f"{who}, {where}: {text}" for text in found]
         wrong += [f"{who}, commands: {text}" for text in of_commands(one, emptied)]
     return wrong
@@ -215,7 +219,7 @@ def missing(one, copies, spans):
 
 def heard_of_guest(folder, instance):
     """How many commands came back to an instance that somebody may stop, each once."""
-    return len({(copy.run, copy.number) for copy in read_came(Path(folder) / f"{instance}.heard")})
+    return len({(copy.run, copy.number) for copy in read_heard(Path(folder) / f"{instance}.heard")})
 
 
 def foreign(one, copies):

@@ -1,6 +1,7 @@
 // A bolt that enters each message of the ledger driver in its instance's book, FOLDER/INSTANCE.came: a line
-// "RUN NUMBER PROCESS TIME", where PROCESS is the worker's. It emits the message as a command for that instance. Its
-// configuration names the folder: `books`.
+// "RUN NUMBER PROCESS MARKED TIME", where PROCESS is the worker's, and MARKED is 1 if the spout says that somebody may
+// have had the message before, or 0. It emits the message as a command for that instance. Its configuration names the
+// folder: `books`.
 #include <filesystem>
 #include <map>
 #include <string>
@@ -23,7 +24,8 @@ class LedgerBolt final : public BasicBolt {
     const Entry entry = Entry::parse(tuple.get<Payload>("data").text());
     auto book = books_.find(entry.instance);
     if (book == books_.end()) book = books_.emplace(entry.instance, Book(folder_ / (entry.instance + ".came"))).first;
-    book->second.write(entry.run_and_number + ' ' + std::to_string(::getpid()));
+    book->second.write(entry.run_and_number + ' ' + std::to_string(::getpid()) +
+                       (tuple.get<bool>("redelivered") ? " 1" : " 0"));
     collector.emit(Values(tuple.get<Payload>("data"), tuple.at("driverID"), tuple.at("time")));
   }
 

@@ -1,6 +1,6 @@
-// A second reader beside the topology, which sees what a bolt does not: the mark of a message that may have come
-// before. It enters each delivery in its instance's book, FOLDER/INSTANCE.read: a line "RUN NUMBER MARKED TIME", where
-// MARKED is 1 or 0.
+// A second reader beside the topology: one client, and no workers among which messages move. It enters each delivery in
+// its instance's book, FOLDER/INSTANCE.read: a line "RUN NUMBER MARKED TIME", where MARKED is 1 if somebody may have
+// had the message before, or 0.
 //
 // usage: ledger_reader FOLDER URL HEARTBEAT_MS EXCHANGE TOPIC...
 #include <cstdlib>
