@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
+#include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/channels/payload_words.h>
 #include <iotcloud/master/cli/output.h>
 
@@ -68,6 +69,20 @@ std::string hex(std::string_view bytes, const char* between) {
   return text;
 }
 
+/// The JSON of a payload, which may come from anybody who may publish; discarded when it is none, or has so many levels
+/// within each other that to write it, which is recursive, could end the process.
+Json parse(std::string_view payload) {
+  bool too_deep = false;
+  Json json = Json::parse(
+      payload,
+      [&](int depth, Json::parse_event_t, const Json&) {
+        too_deep = too_deep || depth > discovery::most_json_levels;
+        return !too_deep;
+      },
+      false);
+  return too_deep ? Json(Json::value_t::discarded) : std::move(json);
+}
+
 /// What `auto_` finds: the format, and the parsed JSON if it is that.
 struct Found {
   PayloadFormat format = PayloadFormat::hex;
@@ -80,7 +95,7 @@ Found find_format(std::string_view payload, bool whole, PayloadFormat wanted) {
   found.format = wanted;
   if (wanted == PayloadFormat::auto_ || wanted == PayloadFormat::image) found.image = image_size(payload);
   if (wanted == PayloadFormat::auto_ || wanted == PayloadFormat::json) {
-    found.json = whole ? Json::parse(payload, nullptr, false) : Json(Json::value_t::discarded);
+    found.json = whole ? parse(payload) : Json(Json::value_t::discarded);
     if (wanted == PayloadFormat::json && found.json.is_discarded()) found.format = PayloadFormat::text;
   }
   if (wanted == PayloadFormat::image && !found.image) found.format = PayloadFormat::hex;

@@ -32,6 +32,29 @@ TEST(PayloadWords, KeepToTheFormatThatIsAskedFor) {
   EXPECT_EQ(shown("on", PayloadFormat::image), "<2 B: 6f 6e>");
 }
 
+TEST(PayloadWords, ShowJsonOfTooManyLevelsAsText) {
+  const auto nested = [](int levels, const std::string& open, const std::string& close) {
+    std::string text;
+    for (int i = 0; i < levels; ++i) text += open;
+    text += "1";
+    for (int i = 0; i < levels; ++i) text += close;
+    return text;
+  };
+  for (const auto format : {PayloadFormat::auto_, PayloadFormat::json}) {
+    for (const int levels : {65, 131'071}) {  // 256 KiB of lists: the most that `channel echo` asks for
+      for (const auto& text : {nested(levels, "[", "]"), nested(levels, R"({"a":)", "}")}) {
+        EXPECT_TRUE(shown(text, format) == text) << levels;
+        const auto json = payload_json(text, static_cast<std::int64_t>(text.size()), format);
+        EXPECT_EQ(json["format"], "text") << levels;
+        EXPECT_TRUE(json["payload"] == text) << levels;
+      }
+    }
+    const std::string text = nested(64, "[", "]");
+    EXPECT_EQ(shown(text, format), text);
+    EXPECT_EQ(payload_json(text, static_cast<std::int64_t>(text.size()), format)["format"], "json");
+  }
+}
+
 TEST(PayloadWords, TellTheSizeOfAnImage) {
   const auto png = "\x89PNG\r\n\x1a\n\0\0\0\rIHDR\0\0\x02\x80\0\0\x01\xe0\x08\x02\0\0\0"s;
   EXPECT_EQ(shown(png), "<PNG image 640x480, 29 B>");
