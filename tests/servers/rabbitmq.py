@@ -25,8 +25,8 @@ Then it obeys one command for each line of stdin and answers with one line on st
     uncap   ends that                              UNCAPPED
     reread  reads certificates again, and closes
             all connections                        REREAD
-    clients the user, and the days of the
-            certificate, of each connection        CLIENTS user from - to; user from - to; ...
+    clients the user, and holder and days of the
+            certificate, of each connection        CLIENTS user CN=holder from - to; ...
     stop    ends everything                        STOPPED
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
@@ -209,7 +209,7 @@ class RabbitMq(private_server.Server):
 
     def clients(self):
         return "CLIENTS " + "; ".join(
-            self.listed("list_connections", "user", "peer_cert_validity").splitlines()[1:])  # after the headers
+            self.listed("list_connections", "user", "peer_cert_subject", "peer_cert_validity").splitlines()[1:])  # after the headers
 
     def queues(self):
         """How many durable queues there are."""
