@@ -10,9 +10,9 @@
 namespace iotcloud::brokers::kafka {
 namespace {
 
-// The text beside a committed offset: "iotcloud1 END HANDED RANGES". END is "end" if the reader ended in order,
-// otherwise "on"; HANDED is how many offsets from the committed one on were handed on; RANGES, such as "2,5-9,", are
-// the settled ones among them, counted in the same way.
+// The text beside a committed offset: "iotcloud1 END HANDED RANGES". END is "end" if the reader ended in order and knew
+// how far readers before it may have got, otherwise "on"; HANDED is how many offsets from the committed one on may have
+// been handed on; RANGES, such as "2,5-9,", are the settled ones among them, counted in the same way.
 constexpr std::string_view mark = "iotcloud1 ";
 constexpr std::size_t longest = 3000;  // servers take 4096 bytes
 
@@ -99,8 +99,11 @@ std::optional<Committed> Progress::to_commit(bool final) {
 }
 
 std::string Progress::metadata(std::int64_t offset, bool final) const {
-  const std::int64_t handed = final ? std::max<std::int64_t>(handed_on() - offset, 0) : 0;
-  std::string text = fmt::format("{}{} {} ", mark, final ? "end" : "on", handed);
+  // An orderly end takes no doubt away that a reader before left, which ended without a farewell.
+  const bool ended = final && !wants_log_end();
+  const std::int64_t newest = std::max(handed_on(), doubtful_to_.value_or(0));
+  const std::int64_t handed = ended ? std::max<std::int64_t>(newest - offset, 0) : 0;
+  std::string text = fmt::format("{}{} {} ", mark, ended ? "end" : "on", handed);
   if (window_.settled() == 0) return text;
   for (std::size_t i = 0; i < offsets_.size() && text.size() < longest; ++i) {
     if (!window_.is_settled(first_tag_ + i)) continue;

@@ -67,7 +67,7 @@ TEST(KafkaProgress, TheNextReaderSkipsWhatWasSettledOutOfOrder) {
 }
 
 TEST(KafkaProgress, AfterAnOrderlyEndOnlyWhatWasHandedOnIsDoubtful) {
-  Progress before({10, ""}, 0);
+  Progress before({10, "iotcloud1 end 0 "}, 0);
   for (int offset = 10; offset < 20; ++offset) arrive(before, offset);
   for (int i = 0; i < 3; ++i) before.next();
   Progress after(*before.to_commit(true), 0);
@@ -82,6 +82,22 @@ TEST(KafkaProgress, AfterACrashEverythingThatWasThereIsDoubtful) {
   EXPECT_TRUE(after.maybe_handed_on(10, 15));
   EXPECT_TRUE(after.maybe_handed_on(14, 99)) << "the end counts as it was at first";
   EXPECT_FALSE(after.maybe_handed_on(15, 99));
+}
+
+TEST(KafkaProgress, AnOrderlyEndTakesNoDoubtAwayThatACrashBeforeLeft) {
+  const Committed crashed{10, "iotcloud1 on 0 "};
+  for (const int read : {0, 1, 3}) {
+    Progress between(crashed, 0);
+    for (int offset = 10; offset < 10 + read; ++offset) {
+      between.arrived(offset, Message{}, between.maybe_handed_on(offset, 15));
+      between.settle(between.next().tag, Settlement::accept);
+    }
+    Progress after(*between.to_commit(true), 0);
+    EXPECT_EQ(after.start(), 10 + read);
+    const std::int64_t end = read == 0 ? 15 : 99;
+    EXPECT_TRUE(after.maybe_handed_on(14, end)) << read;
+    EXPECT_FALSE(after.maybe_handed_on(15, end)) << read;
+  }
 }
 
 TEST(KafkaProgress, WhatThisProcessHandedOnBeforeIsDoubtful) {
