@@ -267,6 +267,28 @@ TEST_F(GuardedPages, AreReadWithACertificateAndATokenOnly) {
       HasSubstr("does not answer"));
 }
 
+TEST_F(GuardedPages, CountAFloodOfBrokenHandshakesAndTellItOnce) {
+  auto& refused = config::process_metrics().counter("iotcloud_http_refused_total", "", {{"reason", "tls"}});
+  const std::uint64_t refused_before = refused.value();
+  const HttpServer server(settings_, pages_);
+  const tests::CapturedLog log;
+  for (int i = 0; i < 100; ++i) EXPECT_THAT(talk(server, "this is no TLS\r\n\r\n"), Not(HasSubstr("the page")));
+  EXPECT_TRUE(tests::eventually([&] { return refused.value() == refused_before + 100; })) << refused.value();
+  const std::string said = log.text();
+  const auto first = said.find("cannot be talked to by TLS");
+  ASSERT_NE(first, std::string::npos) << said;
+  EXPECT_EQ(said.find("cannot be talked to by TLS", first + 1), std::string::npos) << said;
+  EXPECT_EQ(read(server, {certificates_.of("operator"), token_}), "the page");
+}
+
+TEST_F(GuardedPages, AnswerAProbeWhileOthersHoldAllConnectionsAndDoNotEndTheirHandshakes) {
+  const HttpServer server(settings_, pages_);
+  const auto slow = all_connections(server);
+  for (const auto& client : slow) EXPECT_TRUE(client->say({"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03", 11}));
+  for (int i = 0; i < 3; ++i) EXPECT_EQ(read(server, {certificates_.of("operator"), token_}), "the page");
+  EXPECT_THAT(slow.front()->rest(), testing::IsEmpty()) << "the oldest made room";
+}
+
 TEST_F(GuardedPages, AreNotServedToOtherMachinesWithoutTlsAndTokens) {
   const auto error_of = [&](const PageSettings& settings) -> std::string {
     try {
