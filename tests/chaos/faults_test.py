@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """Each kind of fault does to the cluster what the schedule's README says, on each of its targets, and undoes it."""
 import errno
+import resource
 import tempfile
 import unittest
 from pathlib import Path
@@ -10,6 +11,11 @@ import faults
 import schedule
 
 SCRIPTS = (schedule.BROKER, schedule.ZOOKEEPER)
+
+
+def setUpModule():
+    """No mistake in fill() fills the disk of who runs this test: a file that becomes larger than a megabyte is an error."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, 1 << 20))
 
 
 class Script:
