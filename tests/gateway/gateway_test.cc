@@ -376,9 +376,8 @@ TEST_F(GatewayTest, ARecordOfAnEarlierLifeUnderThePluginsNameDoesNotStayBesideTh
   discovery::put(*registry_, path, encode(before));
   give(order("a"));
   start_gateway();
-  EXPECT_TRUE(eventually([&] {
-    return !registry_->get(path) && registry_->get(paths_.instance("probe"_driver, "a"_instance));
-  }));
+  EXPECT_TRUE(eventually(
+      [&] { return !registry_->get(path) && registry_->get(paths_.instance("probe"_driver, "a"_instance)); }));
   take_back("a");
   EXPECT_TRUE(eventually([&] { return discovery::list_drivers(*registry_, paths_).empty(); }));
 }
