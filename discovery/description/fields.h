@@ -94,6 +94,7 @@ constexpr void each_field(Use&& use) {
   IOTCLOUD_FIELD_IN(::iotcloud::discovery::AsItIs, member, presence, json_key, wire_member)
 
 /// Describes a field that travels in a form of its own (AsItIs says what a form is).
+// NOLINTBEGIN(bugprone-macro-parentheses): the form is a type.
 #define IOTCLOUD_FIELD_IN(form, member, presence, json_key, wire_member)                                  \
   ::iotcloud::discovery::Field {                                                                          \
     json_key, ::iotcloud::discovery::Presence::presence, [](auto& object) -> auto& {                      \
@@ -108,6 +109,7 @@ constexpr void each_field(Use&& use) {
         },                                                                                                \
         form {}                                                                                           \
   }
+// NOLINTEND(bugprone-macro-parentheses)
 
 /// Describes the fields of a member, a struct that describes itself, as if they were the struct's own: a tuple of them.
 #define IOTCLOUD_FIELDS_OF(member, Struct) \
