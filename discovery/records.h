@@ -101,8 +101,9 @@ struct DriverRecord {
 
 /// The form of a gateway's brokers in TSite, which has a struct for each.
 struct AsBrokers {
+  /// One of them: TSite has a list of these, the record's JSON a list of names.
   struct Broker {
-    std::string name;
+    std::string name;  ///< logical, as in GatewayRecord::brokers
     static constexpr const char* what = "a gateway's broker";
     static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(name, required)};
   };

@@ -28,7 +28,7 @@ ROOT = HERE.parents[1]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 FILE = re.compile(r"^`([\w.]+)`:\s*\Z", re.MULTILINE)
 JOB_NOTICE = re.compile(r"bash: line \d+: +\d+ |\[\d+\][ +-]")  # of the shell, when a job ended
-LIMIT_S = 120  # of one command, on a busy machine
+LIMIT_S = 600  # of one command: it may build beside other builds and tests
 # What the pages run in the project's folder. Here the programs are installed by CMake and private servers run; the demo has a test
 # of its own.
 INSTALLING = {"README.md": ["./dev demo", "./dev test", "./dev install ~/iotcloud"],
