@@ -93,12 +93,14 @@ TEST_F(GatewayConfigTest, WhatHostsGiveUpIsRead) {
 }
 
 TEST_F(GatewayConfigTest, HostsMayReadTheFilesOfTheirBrokers) {
-  const auto config = load(with("brokers",
-                                "brokers: {rabbitmq: {urls: [\"amqp://a/\"], user: u, password_file: /of/u, "
-                                "properties: {reader: r, reader_password_file: /of/r}}}\n"
-                                "host_files: {write: [/tmp]}"));
+  const std::string of_writer = folder_ / "writer", of_reader = folder_ / "reader";
+  for (const auto& file : {of_writer, of_reader}) std::ofstream(file) << "sesame\n";
+  const auto config =
+      load(with("brokers", "brokers: {rabbitmq: {urls: [\"amqp://a/\"], user: w, password_file: " + of_writer +
+                               ", properties: {reader: r, reader_password_file: " + of_reader +
+                               "}}}\nhost_files: {write: [/tmp]}"));
   ASSERT_TRUE(config.hosts.confinement.files);
-  EXPECT_THAT(config.hosts.confinement.files->read, testing::IsSupersetOf({"/of/u", "/of/r"}));
+  EXPECT_THAT(config.hosts.confinement.files->read, testing::IsSupersetOf({of_writer, of_reader}));
 }
 
 TEST_F(GatewayConfigTest, ThePortsOfHostsAreForAllAndForSinglePlugins) {
