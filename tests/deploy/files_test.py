@@ -1,7 +1,8 @@
 #!/usr/bin/python3
-"""The shipped units of all daemons, under a systemd of their own (booted.py), with files that the tools made and that belong to
-whom the commands in deploy/README.md give them: each daemon reads its key, its tokens and its password, which is seen by what
-it does, and no other user reads them. Tokens and certificates are renewed without a restart.
+"""The shipped units of all daemons, under a systemd of their own (booted.py), with the secured files of deploy/fleet, which the
+commands of its page made and which belong to whom the commands in deploy/README.md give them: each daemon reads its key, its
+tokens and its password, which is seen by what it does, and no other user reads them. Tokens and certificates are renewed without
+a restart.
 
 usage: files_test.py DEPLOY_FOLDER BUILD_DIR
 """
@@ -14,18 +15,24 @@ import ssl
 import subprocess
 from pathlib import Path
 
+import fleet
 from booted import BootedCluster, require_means, status_of, with_own_programs
-from private_cluster import echo_topology, free_port, require, wait_for
+from private_cluster import free_port, require, wait_for
 
 DAEMONS = {"iotcloud-master.service": "iotcloud-master", "iotcloud-gateway.service": "iotcloud-gateway",
            "iotcloud-topology@echo.service": "iotcloud-topology", "iotcloud-registry-tunnel.service": "iotcloud-tunnel"}
 # Who reads each secret file, of all the users.
 READERS = {"master.key": {"iotcloud-master"}, "master-tokens": {"iotcloud-master"}, "master.password": {"iotcloud-master"},
+           "worker-pages.token": {"iotcloud-master"}, "gateways/gateway-1.token": {"iotcloud-master"},
            "gateway-tokens": {"iotcloud-gateway"}, "gateway.password": {"iotcloud-gateway"},
-           "worker.password": {"iotcloud-topology"}, "lab1.key": set(DAEMONS.values()), "page-tokens": set(DAEMONS.values())}
+           "broker.password": {"iotcloud-gateway", "iotcloud-host"},
+           "worker.password": {"iotcloud-topology"}, "worker-broker.password": {"iotcloud-topology"},
+           "lab1.key": set(DAEMONS.values()), "page-tokens": set(DAEMONS.values())}
 USERS = [*DAEMONS.values(), "iotcloud-host"]
+HOST_UNITS = ["iotcloud-host.socket", "iotcloud-host@.service"]
 ETC = "/etc/iotcloud"
-TLS = f"tls: {{ca: {ETC}/ca.pem, certificate: {ETC}/lab1.pem, key: {ETC}/lab1.key, revoked: {ETC}/revoked.pem}}"
+# Of the machine lab1, on which everything is here.
+NAMES = "echo '127.0.0.1 lab1 zk1 broker-1' >>/etc/hosts\necho lab1 >/etc/hostname"
 
 
 def commands(deploy):
@@ -35,53 +42,26 @@ def commands(deploy):
 
 class Machine(BootedCluster):
     def make_files(self, deploy):
-        """What /etc/iotcloud is to have, as the tools make it."""
-        self.certs, self.etc = self.out / "certs", self.out / "etc"
-        self.etc.mkdir()
-        (self.etc / "topologies").mkdir()
-        self.tool("certs", "init", self.certs, "--host", "lab1")
-        for name in ("ca.pem", "lab1.pem", "lab1.key", "revoked.pem"):
-            shutil.copy2(self.certs / name, self.etc)
-        self.tool("keys", "new", self.etc / "master")
-        self.token = self.tool("token", "add", "anna", "--role", "admin", "--file", self.etc / "master-tokens").strip()
-        for name in ("gateway-tokens", "page-tokens"):
-            self.tool("token", "add", "anna", "--role", "viewer", "--file", self.etc / name)
-        for user, role, file in (("master", "master", "master"), ("gateway-1", "gateway", "gateway"), ("workers", "worker", "worker")):
-            password = self.tool("registry", "user", user, "--role", role, "--file", self.etc / "registry.users")
-            (self.etc / f"{file}.password").touch(0o600)
-            (self.etc / f"{file}.password").write_text(password)
-        self.api_port, self.tunnel_port = free_port(), free_port()
-        pages = {name: f'metrics: {{address: "127.0.0.1:{free_port()}", {TLS}, tokens: {ETC}/page-tokens}}' for name in ("master", "worker")}
-
-        def registry(user, file):
-            return f"""registry.user: {user}
-registry.password_file: {ETC}/{file}.password
-registry.users: {ETC}/registry.users
-"""
-        (self.etc / "master.yaml").write_text(f"""
-id: master
-registry: "{self.zookeeper}"
-{registry("master", "master")}
-api: {{host: 127.0.0.1, port: {self.api_port}, {TLS}, tokens: {ETC}/master-tokens}}
-orders: {{signing_key: {ETC}/master.key, trusted_keys: [{ETC}/master.pub]}}
-audit: {{file: /var/lib/iotcloud-master/audit.log}}
-{pages["master"]}
-""")
-        (self.etc / "gateway.yaml").write_text(f"""
-id: gateway-1
-registry: "{self.zookeeper}"
-{registry("gateway-1", "gateway")}
-thrift: {{host: 127.0.0.1, port: {free_port()}, {TLS}, tokens: {ETC}/gateway-tokens}}
-orders.trusted_keys: [{ETC}/master.pub]
-plugins: /opt/iotcloud
-state: state
-brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
-""")
+        """The files of a secured fleet, on ports of this test, and the other end of the tunnel to the registry."""
+        folder = self.out / "fleet"
+        folder.mkdir()
+        fleet.make(deploy, self.bin, self.plugins / "loadgen.so", folder)
+        self.certs, self.etc, self.signed = folder / "certs", folder / "etc", folder / "plugins"
+        self.token = (folder / "anna.token").read_text().strip()
+        self.api_port, self.tunnel_port, registry_port = free_port(), free_port(), free_port()
+        registry, nobody = {"127.0.0.1:2181": f"127.0.0.1:{self.tunnel_port}"}, {"broker-1:5671": "broker-1:1"}
+        for name, places in {
+                "master.yaml": {**registry, "12904": self.api_port, "9112": free_port()},
+                "gateway.yaml": {**registry, **nobody, "12905": free_port(), "9405": free_port(), fleet.PLUGINS: "/opt/iotcloud"},
+                "topologies/echo.yaml": {**registry, **nobody, "9406": free_port()},
+                "registry-tunnel.conf": {**registry, "zk1:2281": f"zk1:{registry_port}"}}.items():
+            file = self.etc / name
+            file.write_text(fleet.replaced(file.read_text(), places))
         servers = self.zookeeper.removeprefix("zookeeper://")
-        (self.etc / "topologies/echo.yaml").write_text(
-            echo_topology(more=registry("workers", "worker") + pages["worker"]).replace("{zookeeper}", servers))
-        (self.etc / "registry-tunnel.conf").write_text(
-            (deploy / "systemd/registry-tunnel.conf").read_text().replace("127.0.0.1:2181", f"127.0.0.1:{self.tunnel_port}"))
+        other_end = self.out / "registry-tls.conf"
+        other_end.write_text(fleet.replaced((deploy / "fleet/registry-tls.conf").read_text(), {
+            "accept = 2281": f"accept = 127.0.0.1:{registry_port}", "connect = 127.0.0.1:2181": f"connect = {servers}", ETC: self.certs}))
+        self.spawn("registry-tls", ["/usr/bin/stunnel4", other_end])
 
     def tool(self, *words):
         return subprocess.run([self.bin / "iotcloud", *words], check=True, capture_output=True, text=True, timeout=60).stdout
@@ -101,7 +81,7 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
 
     def reads(self, user, file):
         """Whether a daemon of this user, with the groups that its unit gives it, may read a file."""
-        groups = "--clear-groups" if user == "iotcloud-host" else "--groups=iotcloud"
+        groups = {"iotcloud-host": "--clear-groups", "iotcloud-gateway": "--groups=iotcloud,iotcloud-host"}.get(user, "--groups=iotcloud")
         done = self.inside("setpriv", f"--reuid={user}", f"--regid={user}", groups, "cat", f"{ETC}/{file}")
         return done.returncode == 0
 
@@ -116,12 +96,15 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
 
 def check_work(machine):
     """Each daemon does what it could not without its files."""
-    wait_for("the gateway and the topology's worker are there", lambda: machine.json("gateways")[0]["state"] == "ready" and
-             machine.json("topologies")[0]["workers"])
-    machine.deploy("loadgen.so", "gateway-1", {"rate": "1"})  # an order that the gateway follows only if it is signed
+    wait_for("the gateway is ready", lambda: any(gateway["state"] == "ready" for gateway in machine.json("gateways")))
+    wait_for("the topology has its worker", lambda: any(topology["workers"] for topology in machine.json("topologies")))
+    # The gateway follows only an order that is signed, and runs only a plugin that is.
+    machine.deploy("loadgen.so", "gateway-1", {"rate": "1"})
     wait_for("the driver is active", lambda: machine.json("drivers")[0]["state"] == "active")
-    with socket.create_connection(("127.0.0.1", machine.tunnel_port), timeout=30):
-        pass  # without its key the tunnel does not listen
+    # The gateway and the worker show these to the master, whose tokens they know.
+    require(machine.cli("logs", machine.json("drivers")[0]["instance"], "--whole-host"), "the gateway shows no log")
+    worker, = machine.json("topology", "show", "echo")["workers"]
+    require(worker["tls"] and worker["http"].startswith("lab1:"), worker)
 
 
 def check_users(machine):
@@ -130,6 +113,9 @@ def check_users(machine):
         require(process, f"{unit} does not run")
         number = machine.inside("id", "-u", user).stdout.strip()
         require(set(status_of(process, "Uid")) == {number} and number != "0", f"{unit} runs as {status_of(process, 'Uid')}, not as {user}")
+    number = machine.inside("id", "-u", "iotcloud-host").stdout.strip()
+    hosts = [status_of(process, "Uid") for process in machine.hosts_of("gateway-1")]
+    require(hosts == [[number] * 4] and number != "0", f"driver hosts run as {hosts}, not as iotcloud-host")
     for file, readers in READERS.items():
         found = {user for user in USERS if machine.reads(user, file)}
         require(found == readers, f"{file} is read by {found}, and is for {readers}")
@@ -168,11 +154,11 @@ def main():
         machine.zookeeper = machine.server("zookeeper")
         machine.make_files(deploy)
         known = {unit.replace("@echo", "@"): with_own_programs((deploy / "systemd" / unit.replace("@echo", "@")).read_text())
-                 for unit in DAEMONS}
+                 for unit in [*DAEMONS, *HOST_UNITS]}
         files = [build / "bin" / program for program in ("iotcloud-master", "iotcloud-gateway", "iotcloud-driver-host",
                                                          "iotcloud-topology")]
-        machine.boot(deploy / "systemd", known, list(DAEMONS), [*files, build / "plugins/loadgen.so"],
-                     f"cp -r --preserve=mode {machine.etc} {ETC}\n({give})")
+        machine.boot(deploy / "systemd", known, list(DAEMONS), [*files, *machine.signed.iterdir()],
+                     f"cp -r --preserve=mode {machine.etc} {ETC}\n{NAMES}\n({give})")
         wait_for("the master answers", lambda: machine.json("gateways"))
         check_work(machine)
         check_users(machine)
