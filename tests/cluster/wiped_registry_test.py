@@ -3,7 +3,8 @@
 is imported, the gateways adopt it, and then everything is as ordered before: instances that run, that are stopped, that run
 a plugin which was sent, a gateway that drains, a topology that is deactivated. Each gateway's /healthz says meanwhile that
 it is frozen. Masters answer again within the session's time-out (printed, and judged with --judge), and say what they wait
-for.
+for. Then an older copy of ZooKeeper's data is put back: gateways that followed newer orders are frozen, what runs goes on as those
+orders said, and after the adoption they follow the orders of the copy, and new ones.
 
 usage: wiped_registry_test.py BUILD_DIR [--judge]
 """
@@ -74,9 +75,51 @@ class Fleet(FaultCluster):
         (self.work / "zookeeper/data").mkdir()
         self.order("start")
 
+    def copy(self):
+        """Keeps a copy of the registry's data."""
+        self.order("pause")
+        shutil.copytree(self.work / "zookeeper/data", self.work / "older")
+        self.order("resume")
+
+    def put_back(self):
+        """The registry's data are those of the copy."""
+        self.order("kill")
+        shutil.rmtree(self.work / "zookeeper/data")
+        shutil.copytree(self.work / "older", self.work / "zookeeper/data")
+        self.order("start")
+
     def frozen(self):
-        """How many gateways live and do not follow the registry's orders."""
-        return sum(gateway["state"] == "ready" and bool(gateway["frozen"]) for gateway in self.json("gateways"))
+        """The gateways that live and do not follow the registry's orders."""
+        return [gateway["gateway"] for gateway in self.json("gateways") if gateway["state"] == "ready" and gateway["frozen"]]
+
+    def states(self):
+        """(name, state) of all instances."""
+        return sorted((driver["name"], driver["state"]) for driver in self.json("drivers"))
+
+
+def check_older_copy(fleet):
+    """All instances are active. The third gateway gets no order between the copy and its return."""
+    older = fleet.states()
+    fleet.copy()
+    fleet.cli("stop", "--name", "meter")
+    fleet.cli("deploy", "loadgen.so", "--gateway", "gateway-2", "--name", "later")
+    newer, hosts = fleet.states(), fleet.hosts()
+    require(("meter", "inactive") in newer and ("later", "active") in newer, f"before the copy is put back: {newer}")
+    fleet.put_back()
+    wait_for("the gateways that followed newer orders are frozen", lambda: fleet.frozen() == ["gateway-1", "gateway-2"])
+    wait_for("all goes on as the newer orders said", lambda: fleet.states() == newer)
+    require(fleet.hosts() == hosts, f"the hosts were {hosts} and are {fleet.hosts()}")
+    ill = fleet.health()
+    require([status for status, _ in ill] == [503, 503, 200] and all("put back to an earlier state" in text for _, text in ill[:2]),
+            f"the gateways' health: {ill}")
+    fleet.cli("stop", "--name", "drained")  # on the third
+    require(fleet.frozen() == ["gateway-1", "gateway-2"], f"frozen without an adoption: {fleet.frozen()}")
+    print(fleet.cli("registry", "adopt", "--all").strip())
+    fleet.cli("start", "--name", "drained")
+    wait_for("all is as the copy says", lambda: fleet.states() == older)
+    fleet.cli("stop", "--all")
+    wait_for("new orders are followed", lambda: {state for _, state in fleet.states()} == {"inactive"})
+    wait_for("all gateways are well", lambda: fleet.health() == WELL)
 
 
 def main():
@@ -108,13 +151,13 @@ def main():
         took = time.monotonic() - began
         require(any("A new session begins within" in text for text in said), f"nobody said what they wait for: {said}")
         # A gateway without instances, and one whose instances are stopped, are as frozen as the others.
-        wait_for("all gateways are frozen", lambda: fleet.frozen() == 3)
+        wait_for("all gateways are frozen", lambda: len(fleet.frozen()) == 3)
         require(fleet.hosts() == hosts, f"the hosts were {hosts} and are {fleet.hosts()}")
         ill = fleet.health()
         require(all(status == 503 and "iotcloud registry adopt" in text for status, text in ill), f"the gateways' health: {ill}")
 
         print(fleet.cli("registry", "import", backup).strip())
-        require(fleet.frozen() == 3, "gateways follow orders that nobody has adopted")
+        require(len(fleet.frozen()) == 3, "gateways follow orders that nobody has adopted")
         require(all(status == 503 for status, _ in fleet.health()), f"the gateways' health: {fleet.health()}")
         print(fleet.cli("registry", "adopt", "--all").strip())
         wait_for("all is as ordered", lambda: fleet.ordered() == before)
@@ -124,6 +167,7 @@ def main():
         fleet.cli("start", "--name", "stopped")
         fleet.cli("undrain", "gateway-3")
         wait_for("all instances run", lambda: {driver["state"] for driver in fleet.json("drivers")} == {"active"})
+        check_older_copy(fleet)
         fleet.require_alive()
     print(f"a master led again {took:.1f} s after ZooKeeper had lost its data; {len(before[0])} instances as ordered")
     judge(given, "without_the_registrys_data_s", took)
