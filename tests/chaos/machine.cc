@@ -5,8 +5,11 @@
 // How many seconds the time of the day is ahead. Clocks that only count are left alone. A wait until a time of the day
 // gets the machine's time back, because the kernel knows nothing of this.
 //
-// 1 while the disk with the folder CHAOS_DISK is broken: writing to its files fails with EIO.
+// 1 while the disk with the folder CHAOS_DISK is broken: with EIO fail reading from and writing to its files, making,
+// renaming and removing files and folders there. Opening a file that is there succeeds, as on a disk of which the
+// kernel remembers the folder; so does what the loader of libraries reads, which no library can stand between.
 #include <cerrno>
+#include <cstdarg>
 #include <cstddef>
 #include <cstdio>
 #include <cstdlib>
@@ -18,6 +21,7 @@
 #include <pthread.h>
 #include <semaphore.h>
 #include <sys/mman.h>
+#include <sys/stat.h>
 #include <sys/time.h>
 #include <sys/uio.h>
 #include <unistd.h>
@@ -45,18 +49,40 @@ std::time_t ahead() {
   return static_cast<std::time_t>(number(0));
 }
 
-/// Whether the descriptor is of a file on a broken disk; sets errno then.
-bool broken(int descriptor) {
+/// The folder of the disk while it is broken; null: it is well.
+const char* broken_disk() {
   static const char* const folder = std::getenv("CHAOS_DISK");
-  if (folder == nullptr || number(1) == 0) return false;
-  char link[32];
-  char path[4096];
-  std::snprintf(link, sizeof link, "/proc/self/fd/%d", descriptor);
-  const ssize_t length = ::readlink(link, path, sizeof path);
-  const std::size_t prefix = std::strlen(folder);
-  if (length < static_cast<ssize_t>(prefix) || std::strncmp(path, folder, prefix) != 0) return false;
+  return folder == nullptr || number(1) == 0 ? nullptr : folder;
+}
+
+/// Whether a path is on the broken disk; sets errno then.
+bool on(const char* disk, const char* path) {
+  const std::size_t prefix = std::strlen(disk);
+  if (std::strncmp(path, disk, prefix) != 0 || (path[prefix] != '/' && path[prefix] != '\0')) return false;
   errno = EIO;
   return true;
+}
+
+/// Whether the descriptor is of a file on a broken disk; sets errno then.
+bool broken(int descriptor) {
+  const char* const disk = broken_disk();
+  if (disk == nullptr) return false;
+  const int before = errno;
+  char link[32];
+  char path[4096];
+  std::snprintf(link, sizeof link, descriptor == AT_FDCWD ? "/proc/self/cwd" : "/proc/self/fd/%d", descriptor);
+  const ssize_t length = ::readlink(link, path, sizeof path - 1);
+  errno = before;
+  if (length < 0) return false;
+  path[length] = '\0';
+  return on(disk, path);
+}
+
+/// The same for a path, which may begin at the folder of the descriptor.
+bool broken(int folder, const char* path) {
+  const char* const disk = broken_disk();
+  if (disk == nullptr) return false;
+  return path[0] == '/' ? on(disk, path) : broken(folder);
 }
 
 template <typename Function>
@@ -69,6 +95,15 @@ timespec machines(const timespec* until) {
   timespec real = *until;
   if (real.tv_sec > of_the_day) real.tv_sec -= ahead();
   return real;
+}
+
+/// Opens a file as `call` does. A file that may have to be made is not opened on a broken disk.
+template <typename Call>
+int opened(int folder, const char* path, int flags, va_list more, Call call) {
+  const bool makes = (flags & O_CREAT) != 0;
+  const mode_t mode = makes || (flags & O_TMPFILE) == O_TMPFILE ? va_arg(more, mode_t) : 0;
+  if (makes && broken(folder, path)) return -1;
+  return call(mode);
 }
 
 }  // namespace
@@ -178,6 +213,91 @@ int fsync(int descriptor) {
 int fdatasync(int descriptor) {
   static auto* const real = next<int(int)>("fdatasync", "GLIBC_2.2.5");
   return broken(descriptor) ? -1 : real(descriptor);
+}
+
+ssize_t read(int descriptor, void* bytes, std::size_t count) {
+  static auto* const real = next<ssize_t(int, void*, std::size_t)>("read", "GLIBC_2.2.5");
+  return broken(descriptor) ? -1 : real(descriptor, bytes, count);
+}
+
+ssize_t readv(int descriptor, const iovec* parts, int count) {
+  static auto* const real = next<ssize_t(int, const iovec*, int)>("readv", "GLIBC_2.2.5");
+  return broken(descriptor) ? -1 : real(descriptor, parts, count);
+}
+
+ssize_t pread(int descriptor, void* bytes, std::size_t count, off_t offset) {
+  static auto* const real = next<ssize_t(int, void*, std::size_t, off_t)>("pread", "GLIBC_2.2.5");
+  return broken(descriptor) ? -1 : real(descriptor, bytes, count, offset);
+}
+
+ssize_t pread64(int descriptor, void* bytes, std::size_t count, off_t offset) {
+  return pread(descriptor, bytes, count, offset);
+}
+
+int open(const char* path, int flags, ...) {
+  static auto* const real = next<int(const char*, int, ...)>("open", "GLIBC_2.2.5");
+  va_list more;
+  va_start(more, flags);
+  const int result = opened(AT_FDCWD, path, flags, more, [&](mode_t mode) { return real(path, flags, mode); });
+  va_end(more);
+  return result;
+}
+
+int open64(const char* path, int flags, ...) {
+  static auto* const real = next<int(const char*, int, ...)>("open64", "GLIBC_2.2.5");
+  va_list more;
+  va_start(more, flags);
+  const int result = opened(AT_FDCWD, path, flags, more, [&](mode_t mode) { return real(path, flags, mode); });
+  va_end(more);
+  return result;
+}
+
+int openat(int folder, const char* path, int flags, ...) {
+  static auto* const real = next<int(int, const char*, int, ...)>("openat", "GLIBC_2.4");
+  va_list more;
+  va_start(more, flags);
+  const int result = opened(folder, path, flags, more, [&](mode_t mode) { return real(folder, path, flags, mode); });
+  va_end(more);
+  return result;
+}
+
+int openat64(int folder, const char* path, int flags, ...) {
+  static auto* const real = next<int(int, const char*, int, ...)>("openat64", "GLIBC_2.4");
+  va_list more;
+  va_start(more, flags);
+  const int result = opened(folder, path, flags, more, [&](mode_t mode) { return real(folder, path, flags, mode); });
+  va_end(more);
+  return result;
+}
+
+int rename(const char* from, const char* to) {
+  static auto* const real = next<int(const char*, const char*)>("rename", "GLIBC_2.2.5");
+  return broken(AT_FDCWD, from) || broken(AT_FDCWD, to) ? -1 : real(from, to);
+}
+
+int mkdir(const char* path, mode_t mode) {
+  static auto* const real = next<int(const char*, mode_t)>("mkdir", "GLIBC_2.2.5");
+  return broken(AT_FDCWD, path) ? -1 : real(path, mode);
+}
+
+int rmdir(const char* path) {
+  static auto* const real = next<int(const char*)>("rmdir", "GLIBC_2.2.5");
+  return broken(AT_FDCWD, path) ? -1 : real(path);
+}
+
+int unlink(const char* path) {
+  static auto* const real = next<int(const char*)>("unlink", "GLIBC_2.2.5");
+  return broken(AT_FDCWD, path) ? -1 : real(path);
+}
+
+int unlinkat(int folder, const char* path, int flags) {
+  static auto* const real = next<int(int, const char*, int)>("unlinkat", "GLIBC_2.4");
+  return broken(folder, path) ? -1 : real(folder, path, flags);
+}
+
+int remove(const char* path) {
+  static auto* const real = next<int(const char*)>("remove", "GLIBC_2.2.5");
+  return broken(AT_FDCWD, path) ? -1 : real(path);
 }
 
 }  // extern "C"
