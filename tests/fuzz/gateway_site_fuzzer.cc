@@ -43,7 +43,7 @@ class GatewayWithSite {
     gateway_->start();
     access_.rules = gateway::SiteService::rules();
     service_ = [this](const std::shared_ptr<rpc::ThriftPeer>& peer) {
-      auto session = std::make_shared<rpc::Session>(access_, peer);
+      auto session = std::make_shared<rpc::CallerSession>(access_, peer);
       return rpc::guarded(
           std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(std::make_shared<gateway::SiteHandler>(
               std::chrono::milliseconds(100), "/nonexistent", *gateway_, *registry_, discovery::Paths(), session)),
