@@ -120,7 +120,8 @@ void OrderFeed::follow_all(const Found& found) {
   if (answer) done_.forget_all();
   const bool adopted = thaw();
   const bool other = std::exchange(followed_, found.list->created) != found.list->created;
-  if (adopted || other) {
+  const bool of_older_lead = std::exchange(of_older_lead_, std::nullopt).has_value();
+  if (adopted || other || of_older_lead) {
     handled_.clear();
     epoch_ = answer ? answer->epoch : 0;  // a registry that was emptied or restored counts epochs anew
   }
@@ -231,6 +232,13 @@ std::optional<OrderFeed::Objection> OrderFeed::objection(const Found& found) con
                                  "one that this gateway followed last",
                                  *instance),
                      true};
+  }
+  if (of_older_lead_ && !listener_.present().empty()) {
+    return Objection{
+        fmt::format("the registry was put back to an earlier state: the order of {} is by a master that leads, and "
+                    "this gateway has followed one that led later",
+                    *of_older_lead_),
+        true};
   }
   if (found.list && nothing_to_lose()) return std::nullopt;
   if (!found.list) {
@@ -493,6 +501,11 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
   }
   const bool stood_before = initial_.erase(instance) > 0;
   if (order.epoch < epoch_ && !stood_before) {
+    if (leads_now(order.epoch)) {
+      of_older_lead_ = instance;
+      loop_.post([this] { read_orders(); });
+      return;
+    }
     logger.warn("an order for {} is ignored: its epoch {} is older than {}, so its master no longer leads", instance,
                 order.epoch, epoch_.load());
     return;
@@ -501,6 +514,21 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
   if (!masters_) return listener_.on_order(order, node.version);
   if (due_.empty()) loop_.post([this] { follow_due(); });
   due_[instance] = {order, node};
+}
+
+/// Whether the registry has the node by which a master with this epoch stands for election. That of a master which lost
+/// the lead went before the next one led, so of two epochs that a gateway has seen in one state of the registry, the
+/// older one's is gone.
+bool OrderFeed::leads_now(std::int64_t epoch) const {
+  try {
+    auto standing = registry_.children(paths_.masters()).value_or(std::vector<std::string>());
+    for (auto& name : standing) name = paths_.masters() + "/" + name;
+    const auto nodes = registry_.get_all(standing);
+    return std::any_of(nodes.begin(), nodes.end(), [&](const auto& node) { return node && node->created == epoch; });
+  } catch (const discovery::RegistryError& e) {
+    logger.debug("whether the master with epoch {} leads is not known: {}", epoch, e.what());
+    return false;
+  }
 }
 
 FollowedOrder OrderFeed::followed(const discovery::InstanceId& instance, std::int64_t given_ms) const {

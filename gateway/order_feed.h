@@ -24,7 +24,8 @@ namespace iotcloud::gateway {
 
 /// Follows the orders of one gateway in the registry (/iot/gateways/<id>/orders) and passes each version of an order to
 /// the listener once. The feed ignores an order whose epoch is older than one seen before, because its master no longer
-/// leads. Orders that exist when the feed starts, or when the registry is reachable again, may have any epoch.
+/// leads. Orders that exist when the feed starts, or when the registry is reachable again, may have any epoch. When the
+/// master with the older epoch does lead, as the registry has it, the registry was put back to an earlier state.
 ///
 /// Orders that are not there are an order to undeploy only while the registry is the one that had them. When the node
 /// of the orders is gone or is another one than before, or when orders vanished together with what this gateway has
@@ -112,6 +113,7 @@ class OrderFeed {
   void read(const discovery::InstanceId& instance, const discovery::Node& node);
   bool is_signed(const std::string& path, const discovery::Node& node) const;
   bool is_out_of_date(const discovery::OrderRecord& order) const;
+  bool leads_now(std::int64_t epoch) const;
   FollowedOrder followed(const discovery::InstanceId& instance, std::int64_t given_ms) const;
   void follow_due();
   void read_refused_later();
@@ -146,7 +148,8 @@ class OrderFeed {
   /// Orders that are gone, and no master says that it removed them: tells when one does.
   std::map<discovery::InstanceId, discovery::GuardPtr> unproven_;
   std::map<discovery::InstanceId, std::pair<std::int64_t, std::int64_t>>
-      handled_;                           ///< for each order that was read, the creation id and version of its node
+      handled_;  ///< for each order that was read, the creation id and version of its node
+  std::optional<discovery::InstanceId> of_older_lead_;  ///< whose order says that the registry was put back
   std::optional<std::int64_t> followed_;  ///< creation id of the node whose orders are followed; nullopt: none yet
   std::map<discovery::InstanceId, config::Clock::Instant> gone_;  ///< the orders that are just_gone(), and since when
   config::Clock::Instant last_gone_{};                            ///< when the last one of them went

@@ -405,6 +405,47 @@ TEST_F(FrozenOrderFeed, AnAdoptionMakesAnEmptyListTheOrder) {
   EXPECT_FALSE(registry_.nodes.contains(mark_));
 }
 
+/// A feed whose registry gets an earlier state, in which no order of it differs: only masters lead anew.
+class FeedOfOlderLeaders : public FrozenOrderFeed {
+ protected:
+  FeedOfOlderLeaders() { registry_.nodes[paths_.masters()] = Node{}; }
+  void stands_for_election(std::int64_t epoch) {
+    registry_.nodes[paths_.masters() + "/member"] = Node{.data = "", .version = 0, .created = epoch};
+  }
+  void give_later(const std::string& instance, std::int64_t epoch) {
+    give(instance, epoch);
+    registry_.tell_names(Names{"a", instance});
+    on_loop([] {});
+    registry_.tell_node.at(path(instance))(registry_.nodes.at(path(instance)));
+    on_loop([] {});
+  }
+};
+
+TEST_F(FeedOfOlderLeaders, IgnoresAnOrderOfAMasterThatLeadsNoMore) {
+  stands_for_election(1001);
+  give_later("b", 999);
+  EXPECT_THAT(heard(), ElementsAre());
+  EXPECT_EQ(feed_.frozen(), "");
+}
+
+TEST_F(FeedOfOlderLeaders, IsFrozenByAnOrderOfAMasterThatLeads) {
+  stands_for_election(999);
+  give_later("b", 999);
+  EXPECT_THAT(heard(), ElementsAre("frozen"));
+  EXPECT_THAT(feed_.frozen(), testing::HasSubstr("put back to an earlier state: the order of b"));
+  adopt(999);
+  EXPECT_THAT(heard_soon(), ElementsAre("order a", "order b"));
+  EXPECT_EQ(feed_.frozen(), "");
+}
+
+TEST_F(FeedOfOlderLeaders, FollowsAMasterThatLeadsWhenThereIsNothingToLose) {
+  present_ = recorded_ = {};
+  stands_for_election(999);
+  give_later("b", 999);
+  EXPECT_THAT(heard_soon(), ElementsAre("order a", "order b"));
+  EXPECT_EQ(feed_.frozen(), "");
+}
+
 TEST_F(FrozenOrderFeed, AnAdoptedRegistryCountsEpochsAnew) {
   registry_.nodes.clear();
   connect_again();
