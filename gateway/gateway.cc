@@ -104,7 +104,7 @@ struct Gateway::Impl {
   const GatewayOptions options;
   const config::Clock& clock;
   Membership membership;
-  bool told_away = false;
+  std::string told_problem;
   bool told_taken = false;
   bool stopping = false;
   bool awaits_return = false;
@@ -233,8 +233,10 @@ void Gateway::Impl::join(const std::shared_ptr<StartOutcome>& first) try {
       if (first) first->tell("");
       return;
     case Membership::Result::away:
-      if (!told_away) logger.warn("the registry is away; the gateway {} registers when it comes", options.id);
-      told_away = true;
+      if (std::exchange(told_problem, membership.problem()) != membership.problem()) {
+        logger.warn("the gateway {} is not registered yet: {}; it tries on", options.id, membership.problem());
+        say(&Impl::unregistered, fmt::format("the gateway is not registered yet: {}", membership.problem()));
+      }
       if (first) first->tell("");
       again(options.retry_pause, nullptr);
       return;

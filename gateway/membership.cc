@@ -37,7 +37,7 @@ Membership::Result Membership::join() {
       tried_ = true;
       return Result::taken;
     }
-    logger.debug("not registered yet: {}", e.what());
+    problem_ = e.what();
     tried_ = false;
     return Result::away;
   }

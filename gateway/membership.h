@@ -27,7 +27,7 @@ class Membership {
   };
   enum class Result {
     joined,
-    away,   ///< the registry is unreachable: try again
+    away,   ///< the registry is unreachable, or refuses (problem()): try again
     taken,  ///< another gateway holds the id, or a dead one whose session has not expired: try again
   };
 
@@ -58,6 +58,8 @@ class Membership {
   std::chrono::milliseconds patience() const { return options_.session_timeout + options_.session_timeout / 2; }
   /// Describes who holds the id, for the error message.
   const std::string& holder_address() const { return holder_address_; }
+  /// After `away`: what the registry said.
+  const std::string& problem() const { return problem_; }
   void leave() { alive_.reset(); }
 
  private:
@@ -73,6 +75,7 @@ class Membership {
   config::Clock::Instant first_try_{};
   bool tried_ = false;
   std::string holder_address_;
+  std::string problem_;
   discovery::GuardPtr alive_;
 };
 
