@@ -49,15 +49,15 @@ class Machine(BootedCluster):
         self.certs, self.etc, self.signed = folder / "certs", folder / "etc", folder / "plugins"
         self.token = (folder / "anna.token").read_text().strip()
         self.api_port, self.tunnel_port, registry_port = free_port(), free_port(), free_port()
-        registry, nobody = {"127.0.0.1:2181": f"127.0.0.1:{self.tunnel_port}"}, {"broker-1:5671": "broker-1:1"}
+        servers = self.zookeeper.removeprefix("zookeeper://")
+        registry, nobody = {"127.0.0.1:2181": servers}, {"broker-1:5671": "broker-1:1"}
         for name, places in {
                 "master.yaml": {**registry, "12904": self.api_port, "9112": free_port()},
                 "gateway.yaml": {**registry, **nobody, "12905": free_port(), "9405": free_port(), fleet.PLUGINS: "/opt/iotcloud"},
                 "topologies/echo.yaml": {**registry, **nobody, "9406": free_port()},
-                "registry-tunnel.conf": {**registry, "zk1:2281": f"zk1:{registry_port}"}}.items():
+                "registry-tunnel.conf": {"127.0.0.1:2181": f"127.0.0.1:{self.tunnel_port}", "zk1:2281": f"zk1:{registry_port}"}}.items():
             file = self.etc / name
             file.write_text(fleet.replaced(file.read_text(), places))
-        servers = self.zookeeper.removeprefix("zookeeper://")
         other_end = self.out / "registry-tls.conf"
         other_end.write_text(fleet.replaced((deploy / "fleet/registry-tls.conf").read_text(), {
             "accept = 2281": f"accept = 127.0.0.1:{registry_port}", "connect = 127.0.0.1:2181": f"connect = {servers}", ETC: self.certs}))
@@ -101,6 +101,9 @@ def check_work(machine):
     # The gateway follows only an order that is signed, and runs only a plugin that is.
     machine.deploy("loadgen.so", "gateway-1", {"rate": "1"})
     wait_for("the driver is active", lambda: machine.json("drivers")[0]["state"] == "active")
+    with socket.create_connection(("127.0.0.1", machine.tunnel_port), timeout=30) as registry:
+        registry.sendall(b"srvr")
+        require(b"Mode: " in registry.makefile("rb").read(), "the tunnel does not lead to the registry")
     # The gateway and the worker show these to the master, whose tokens they know.
     require(machine.cli("logs", machine.json("drivers")[0]["instance"], "--whole-host"), "the gateway shows no log")
     worker, = machine.json("topology", "show", "echo")["workers"]
