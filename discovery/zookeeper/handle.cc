@@ -69,10 +69,6 @@ std::shared_ptr<Handle> Handle::open(const Settings& settings, const RegistryCon
   // Without this the library looks up the servers' names whenever its socket is ready, which is a fifth of its work. It
   // still looks them up when a connection is lost.
   zoo_set_servers_resolution_delay(self->handle_, -1);
-  if (const std::string& identity = settings.identity; !identity.empty()) {
-    // The library authenticates with every server before it does anything else.
-    zoo_add_auth(self->handle_, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
-  }
   return self;
 }
 
@@ -248,6 +244,7 @@ void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, 
     return;
   }
   if (state == ZOO_CONNECTED_STATE) {
+    self.identify(handle);
     self.make_chroot(handle);
     self.events_.connected(zoo_client_id(handle)->client_id, std::chrono::milliseconds(zoo_recv_timeout(handle)));
   } else if (state == ZOO_EXPIRED_SESSION_STATE) {
@@ -259,6 +256,16 @@ void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, 
   } else {
     self.events_.disconnected();
   }
+}
+
+/// Says who this process is, before any other call of this session. When the library connects again, it says so by
+/// itself. It must not be told right after zookeeper_init2, while its thread connects: now and then it never tells the
+/// server then (seen with 3.8.0 and a server behind a TLS tunnel), which refuses this process everything.
+void Handle::identify(zhandle_t* handle) {
+  const std::string& identity = settings_.identity;
+  if (identity.empty() || std::exchange(identified_, true)) return;
+  const int code = zoo_add_auth(handle, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
+  if (code != ZOK) logger.error("{}: this process cannot say who it is: {}", settings_.url.hosts, zerror(code));
 }
 
 /// Creates the nodes of the chroot. These calls are sent before any other call of this session, so they take effect

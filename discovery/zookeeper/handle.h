@@ -63,6 +63,7 @@ class Handle : public std::enable_shared_from_this<Handle> {
   static void on_data(int code, const char* data, int size, const Stat* stat, const void* request);
   static void on_names(int code, const String_vector* names, const void* request);
   static void on_event(zhandle_t* handle, int type, int state, const char* path, void* context);
+  void identify(zhandle_t* handle);
   void make_chroot(zhandle_t* handle) const;
   std::string full(const std::string& path) const;
   std::string stripped(const std::string& path) const;
@@ -75,6 +76,7 @@ class Handle : public std::enable_shared_from_this<Handle> {
 
   config::SharedMutex callback_mutex_;  ///< shared while a callback runs, exclusive to shut
   bool shut_ IOTCLOUD_GUARDED_BY(callback_mutex_) = false;
+  bool identified_ = false;  ///< used on the library's callback thread only
 
   config::Mutex requests_mutex_;
   std::map<const void*, std::unique_ptr<Request>> requests_ IOTCLOUD_GUARDED_BY(requests_mutex_);  ///< unanswered

@@ -22,14 +22,12 @@ constexpr std::size_t progress_step = 1000;  ///< nodes
 /// A session for one piece of work that waits for each answer.
 class RightsSession {
  public:
-  RightsSession(const Settings& settings, std::chrono::milliseconds limit) {
+  RightsSession(const Settings& settings, std::chrono::milliseconds limit) : identity_(settings.identity) {
     handle_ = zookeeper_init2(settings.url.hosts.c_str(), &RightsSession::on_event,
                               static_cast<int>(settings.session_timeout.count()), nullptr, this, ZOO_NO_LOG_CLIENTENV,
                               [](const char* message) { logger.debug("{}", message); });
     if (handle_ == nullptr)
       throw config::Error(fmt::format("the registry {} cannot be used: {}", settings.url.hosts, std::strerror(errno)));
-    const std::string& identity = settings.identity;
-    zoo_add_auth(handle_, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
     if (connected_within(limit)) return;
     zookeeper_close(handle_);
     throw config::Error(fmt::format("the registry {} does not answer within {} s: is its server running?",
@@ -46,14 +44,18 @@ class RightsSession {
     const config::MutexLock lock(mutex_);
     return changed_.wait_for(mutex_, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return connected_; });
   }
-  static void on_event(zhandle_t* /*handle*/, int type, int state, const char* /*path*/, void* self) {
+  static void on_event(zhandle_t* handle, int type, int state, const char* /*path*/, void* self) {
     if (type != ZOO_SESSION_EVENT || state != ZOO_CONNECTED_STATE) return;
     auto* const session = static_cast<RightsSession*>(self);
     const config::MutexLock lock(session->mutex_);
+    if (const std::string& identity = session->identity_; !session->connected_) {  // as Handle::identify()
+      zoo_add_auth(handle, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
+    }
     session->connected_ = true;
     session->changed_.notify_all();
   }
 
+  const std::string identity_;
   config::Mutex mutex_;
   config::ConditionVariable changed_;
   bool connected_ IOTCLOUD_GUARDED_BY(mutex_) = false;
