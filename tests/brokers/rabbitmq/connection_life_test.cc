@@ -57,7 +57,8 @@ class RabbitMqConnectionLife : public testing::Test, protected ConnectionLife::O
  protected:
   explicit RabbitMqConnectionLife(std::vector<std::string> servers = {"amqp://one"})
       : cluster_(options_of(servers), urls_of(servers)), life_(*this, mutex_, sleep_, cluster_, clock_, log_) {}
-  ~RabbitMqConnectionLife() override { end(); }
+  ~RabbitMqConnectionLife() override = default;
+  void TearDown() override { end(); }  // not in the destructor: the thread calls this object by its virtual functions
 
   void start() {
     const config::MutexLock lock(mutex_);
