@@ -55,7 +55,7 @@ class HandSleep final : public ConnectionSleep {
 
 class RabbitMqConnectionLife : public testing::Test, protected ConnectionLife::Owner {
  protected:
-  explicit RabbitMqConnectionLife(std::vector<std::string> servers = {"amqp://one"})
+  explicit RabbitMqConnectionLife(const std::vector<std::string>& servers = {"amqp://one"})
       : cluster_(options_of(servers), urls_of(servers)), life_(*this, mutex_, sleep_, cluster_, clock_, log_) {}
   ~RabbitMqConnectionLife() override = default;
   void TearDown() override { end(); }  // not in the destructor: the thread calls this object by its virtual functions
@@ -134,6 +134,7 @@ class RabbitMqConnectionLife : public testing::Test, protected ConnectionLife::O
   }
   static std::vector<BrokerUrl> urls_of(const std::vector<std::string>& servers) {
     std::vector<BrokerUrl> urls;
+    urls.reserve(servers.size());
     for (const std::string& server : servers) urls.push_back(parse_broker_url(server));
     return urls;
   }
