@@ -24,7 +24,7 @@ MASTERS, GATEWAYS = ["master-1", "master-2"], ["gateway-1", "gateway-2"]  # each
 WORKERS = ["topology-1", "topology-2"]  # as these do
 USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never root
 REPORT = "/var/lib/iotcloud-reports/cluster.json"
-EVERYTHING = ["--profile", "whole", "--profile", "metrics", "--profile", "bench", "--profile", "tools"]
+ALL_PROFILES = ["--profile", "whole", "--profile", "metrics", "--profile", "bench", "--profile", "tools"]
 START_LIMIT_S = 300
 
 
@@ -419,7 +419,7 @@ def certs(given):
 
 def down(given):
     docker = Docker()
-    done = run(docker.compose(*EVERYTHING, "down", "--volumes", "--remove-orphans"))
+    done = run(docker.compose(*ALL_PROFILES, "down", "--volumes", "--remove-orphans"))
     if done.returncode:
         raise Refused(f"docker compose down failed with status {done.returncode}")
     for folder in (SECRETS, SECRETS.with_name("secrets.new")):

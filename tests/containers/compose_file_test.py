@@ -10,7 +10,9 @@ import json
 import re
 import sys
 import tempfile
+import types
 from pathlib import Path
+from unittest import mock
 
 import yaml
 
@@ -220,6 +222,21 @@ def check_renewal():
             sys.exit(f"files changed beside the certificate: {before} {after}")
 
 
+def check_down(file):
+    """`./dev cluster down` takes the services of all profiles away."""
+    profiles = {profile for service in file["services"].values() for profile in service.get("profiles", [])}
+    words = ["down", "--volumes", "--remove-orphans"]
+    for profile in profiles:
+        words = ["--profile", profile, *words]
+    asked = []
+    docker = types.SimpleNamespace(compose=lambda *given: asked.extend(given))
+    with mock.patch.multiple(cluster, Docker=lambda: docker, run=lambda *_, **__: types.SimpleNamespace(returncode=0),
+                             SECRETS=Path("/nonexistent/secrets"), say=lambda *_: None):
+        cluster.down(types.SimpleNamespace(images=False))
+    if sorted(asked) != sorted(words):
+        sys.exit(f"`./dev cluster down` asks for {' '.join(asked)}, and the compose file has the profiles {profiles}")
+
+
 def main():
     text = (ROOT / "docker-compose.yml").read_text(encoding="utf-8")
     file = yaml.safe_load(text)
@@ -229,6 +246,7 @@ def main():
     if found:
         sys.exit("docker-compose.yml: " + "; ".join(found))
     check_that_it_finds(file)
+    check_down(file)
     check_brokers_users()
     check_renewal()
     print(f"{len(file['services'])} services keep the promises")
