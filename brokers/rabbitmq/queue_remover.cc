@@ -46,6 +46,7 @@ void QueueRemover::run() {
 /// Asks the server to remove each queue once. \return the queues that the server keeps for now, to be tried again
 std::vector<QueueRemover::Unneeded> QueueRemover::try_all(std::vector<Unneeded> queues) {
   std::vector<std::string> names;
+  names.reserve(queues.size());
   for (const Unneeded& unneeded : queues) names.push_back(unneeded.queue);
   std::vector<std::string> answers;
   std::string trouble;
