@@ -26,7 +26,7 @@ from private_cluster import require, wait_for  # noqa: E402
 
 PROJECT = "iotcloud-test"
 GATEWAYS = ["gateway-1", "gateway-2"]
-BOOKS = "/var/lib/iotcloud/state/books"  # which driver hosts may write
+BOOKS = "/var/lib/iotcloud-reports/books"  # which driver hosts may write; all gateways share it
 NEWER = 50  # messages that must have come back since the repair
 HEAL_LIMIT_S = 120
 
@@ -75,7 +75,7 @@ class Cluster:
 
     def book(self, gateway, ledger, name):
         """The numbers in one of a ledger's files."""
-        text = self.docker.docker("exec", self.container(gateway), "cat", f"{BOOKS}/{ledger}/{name}")
+        text = self.docker.docker("exec", self.container(gateway), "cat", f"{BOOKS}/{ledger}/{gateway}/{name}")
         return [int(line) for line in text.split()]
 
 

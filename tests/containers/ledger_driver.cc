@@ -31,7 +31,7 @@ class Ledger final : public drivers::Driver {
 
   void open(drivers::DriverContext& context) override {
     context_ = &context;
-    const std::filesystem::path folder = context.property("folder", "");
+    const std::filesystem::path folder = std::filesystem::path(context.property("folder", "")) / context.gateway_id();
     std::filesystem::create_directories(folder);
     next_ = last_line(folder / "sent") + 1;
     sent_.open(folder / "sent", std::ios::app);
