@@ -96,7 +96,8 @@ struct Gateway::Impl {
   void renew_leases();
   void alive_changed(const std::optional<discovery::Node>& node);
   void await_return();
-  void say(std::string Impl::*trouble, const std::string& why);
+  /// \return whether that is new
+  bool say(std::string Impl::*trouble, const std::string& why);
   void end_replaced(const std::function<void(const std::string& why)>& then);
   void stop_orders();
   void finish_stop(const std::shared_ptr<std::promise<void>>& done);
@@ -104,7 +105,6 @@ struct Gateway::Impl {
   const GatewayOptions options;
   const config::Clock& clock;
   Membership membership;
-  std::string told_problem;
   bool told_taken = false;
   bool stopping = false;
   bool awaits_return = false;
@@ -233,10 +233,8 @@ void Gateway::Impl::join(const std::shared_ptr<StartOutcome>& first) try {
       if (first) first->tell("");
       return;
     case Membership::Result::away:
-      if (std::exchange(told_problem, membership.problem()) != membership.problem()) {
+      if (say(&Impl::unregistered, fmt::format("the gateway is not registered yet: {}", membership.problem())))
         logger.warn("the gateway {} is not registered yet: {}; it tries on", options.id, membership.problem());
-        say(&Impl::unregistered, fmt::format("the gateway is not registered yet: {}", membership.problem()));
-      }
       if (first) first->tell("");
       again(options.retry_pause, nullptr);
       return;
@@ -268,9 +266,9 @@ void Gateway::Impl::join(const std::shared_ptr<StartOutcome>& first) try {
 }
 
 /// Notes one of the two troubles with the registry that Gateway::trouble() tells. \param why empty: it is over
-void Gateway::Impl::say(std::string Impl::*trouble, const std::string& why) {
+bool Gateway::Impl::say(std::string Impl::*trouble, const std::string& why) {
   const config::MutexLock lock(mutex);
-  this->*trouble = why;
+  return std::exchange(this->*trouble, why) != why;
 }
 
 void Gateway::Impl::joined() {

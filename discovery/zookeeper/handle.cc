@@ -244,7 +244,7 @@ void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, 
     return;
   }
   if (state == ZOO_CONNECTED_STATE) {
-    self.identify(handle);
+    if (!std::exchange(self.identified_, true)) identify(handle, self.settings_);
     self.make_chroot(handle);
     self.events_.connected(zoo_client_id(handle)->client_id, std::chrono::milliseconds(zoo_recv_timeout(handle)));
   } else if (state == ZOO_EXPIRED_SESSION_STATE) {
@@ -256,16 +256,6 @@ void Handle::on_event(zhandle_t* handle, int type, int state, const char* path, 
   } else {
     self.events_.disconnected();
   }
-}
-
-/// Says who this process is, before any other call of this session. When the library connects again, it says so by
-/// itself. It must not be told right after zookeeper_init2, while its thread connects: now and then it never tells the
-/// server then (seen with 3.8.0 and a server behind a TLS tunnel), which refuses this process everything.
-void Handle::identify(zhandle_t* handle) {
-  const std::string& identity = settings_.identity;
-  if (identity.empty() || std::exchange(identified_, true)) return;
-  const int code = zoo_add_auth(handle, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
-  if (code != ZOK) logger.error("{}: this process cannot say who it is: {}", settings_.url.hosts, zerror(code));
 }
 
 /// Creates the nodes of the chroot. These calls are sent before any other call of this session, so they take effect

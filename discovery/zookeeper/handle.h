@@ -63,7 +63,6 @@ class Handle : public std::enable_shared_from_this<Handle> {
   static void on_data(int code, const char* data, int size, const Stat* stat, const void* request);
   static void on_names(int code, const String_vector* names, const void* request);
   static void on_event(zhandle_t* handle, int type, int state, const char* path, void* context);
-  void identify(zhandle_t* handle);
   void make_chroot(zhandle_t* handle) const;
   std::string full(const std::string& path) const;
   std::string stripped(const std::string& path) const;

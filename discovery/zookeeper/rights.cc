@@ -22,7 +22,8 @@ constexpr std::size_t progress_step = 1000;  ///< nodes
 /// A session for one piece of work that waits for each answer.
 class RightsSession {
  public:
-  RightsSession(const Settings& settings, std::chrono::milliseconds limit) : identity_(settings.identity) {
+  /// \param settings must outlive this object
+  RightsSession(const Settings& settings, std::chrono::milliseconds limit) : settings_(settings) {
     handle_ = zookeeper_init2(settings.url.hosts.c_str(), &RightsSession::on_event,
                               static_cast<int>(settings.session_timeout.count()), nullptr, this, ZOO_NO_LOG_CLIENTENV,
                               [](const char* message) { logger.debug("{}", message); });
@@ -48,14 +49,11 @@ class RightsSession {
     if (type != ZOO_SESSION_EVENT || state != ZOO_CONNECTED_STATE) return;
     auto* const session = static_cast<RightsSession*>(self);
     const config::MutexLock lock(session->mutex_);
-    if (const std::string& identity = session->identity_; !session->connected_) {  // as Handle::identify()
-      zoo_add_auth(handle, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
-    }
-    session->connected_ = true;
+    if (!std::exchange(session->connected_, true)) identify(handle, session->settings_);
     session->changed_.notify_all();
   }
 
-  const std::string identity_;
+  const Settings& settings_;
   config::Mutex mutex_;
   config::ConditionVariable changed_;
   bool connected_ IOTCLOUD_GUARDED_BY(mutex_) = false;
@@ -171,6 +169,13 @@ class RightsRenewal {
 };
 
 }  // namespace
+
+void identify(zhandle_t* handle, const Settings& settings) {
+  const std::string& identity = settings.identity;
+  if (identity.empty()) return;
+  const int code = zoo_add_auth(handle, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
+  if (code != ZOK) logger.error("{}: this process cannot say who it is: {}", settings.url.hosts, zerror(code));
+}
 
 NodeRights::NodeRights(const Settings& settings, const std::string& path, const std::string& creator) {
   static char auth[] = "auth", world[] = "world", anyone[] = "anyone", nothing[] = "", digest[] = "digest";

@@ -13,6 +13,12 @@
 
 namespace iotcloud::discovery::zookeeper {
 
+/// Tells the server who this process is, if the settings say so: to be called at the first event of a connection,
+/// before any other call of the session. When the library connects again, it tells it by itself. It must not be told
+/// right after zookeeper_init2, while the library's thread connects: now and then the server then never hears it (seen
+/// with 3.8.0 and a server behind a TLS tunnel), and refuses this process everything. A failure is logged.
+void identify(zhandle_t* handle, const Settings& settings);
+
 /// The rights on a node that a user creates, as the C client wants them. With an identity the node belongs to its
 /// creator or to the users that RegistryAccess names, and the settings say whether others may read it. Without an
 /// identity everybody may use it. Immutable.

@@ -243,14 +243,7 @@ int open(const char* path, int flags, ...) {
   return result;
 }
 
-int open64(const char* path, int flags, ...) {
-  static auto* const real = next<int(const char*, int, ...)>("open64", "GLIBC_2.2.5");
-  va_list more;
-  va_start(more, flags);
-  const int result = opened(AT_FDCWD, path, flags, more, [&](mode_t mode) { return real(path, flags, mode); });
-  va_end(more);
-  return result;
-}
+__attribute__((alias("open"))) int open64(const char* path, int flags, ...);
 
 int openat(int folder, const char* path, int flags, ...) {
   static auto* const real = next<int(int, const char*, int, ...)>("openat", "GLIBC_2.4");
@@ -261,14 +254,7 @@ int openat(int folder, const char* path, int flags, ...) {
   return result;
 }
 
-int openat64(int folder, const char* path, int flags, ...) {
-  static auto* const real = next<int(int, const char*, int, ...)>("openat64", "GLIBC_2.4");
-  va_list more;
-  va_start(more, flags);
-  const int result = opened(folder, path, flags, more, [&](mode_t mode) { return real(folder, path, flags, mode); });
-  va_end(more);
-  return result;
-}
+__attribute__((alias("openat"))) int openat64(int folder, const char* path, int flags, ...);
 
 int rename(const char* from, const char* to) {
   static auto* const real = next<int(const char*, const char*)>("rename", "GLIBC_2.2.5");

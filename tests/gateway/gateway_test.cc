@@ -351,29 +351,31 @@ TEST_F(GatewayTest, AMarkOfLifeThatMakesNoSenseIsThatOfAnotherGateway) {
   }
 }
 
-TEST_F(GatewayTest, RecordsOfAnEarlierLifeWithoutOrdersAreRemoved) {
-  discovery::DriverRecord stale;
-  stale.name = "probe"_driver;
-  stale.instance = "old"_instance;
-  stale.gateway = "gw"_gateway;
-  stale.state = DriverState::active;
-  discovery::put(*registry_, paths_.instance("probe"_driver, "old"_instance), encode(stale));
-  stale.instance = "of another gateway"_instance;
-  stale.gateway = "gw2"_gateway;
-  discovery::put(*registry_, paths_.instance("probe"_driver, "else"_instance), encode(stale));
+class RecordsOfAnEarlierLife : public GatewayTest {
+ protected:
+  /// \return its path
+  std::string leave(const std::string& driver, const std::string& instance, const std::string& gateway = "gw") {
+    discovery::DriverRecord record;
+    record.name = discovery::DriverName(driver);
+    record.instance = discovery::InstanceId(instance);
+    record.gateway = discovery::GatewayId(gateway);
+    record.state = DriverState::active;
+    const std::string path = paths_.instance(record.name, record.instance);
+    discovery::put(*registry_, path, encode(record));
+    return path;
+  }
+};
+
+TEST_F(RecordsOfAnEarlierLife, WithoutOrdersAreRemoved) {
+  leave("probe", "old");
+  leave("probe", "else", "gw2");
   start_gateway();
   EXPECT_TRUE(eventually([&] { return !record("old"); }));
   EXPECT_TRUE(record("else"));
 }
 
-TEST_F(GatewayTest, ARecordOfAnEarlierLifeUnderThePluginsNameDoesNotStayBesideTheDriversOwn) {
-  discovery::DriverRecord before;
-  before.name = "probe_plugin"_driver;
-  before.instance = "a"_instance;
-  before.gateway = "gw"_gateway;
-  before.state = DriverState::deployed;
-  const std::string path = paths_.instance("probe_plugin"_driver, "a"_instance);
-  discovery::put(*registry_, path, encode(before));
+TEST_F(RecordsOfAnEarlierLife, UnderThePluginsNameDoNotStayBesideTheDriversOwn) {
+  const std::string path = leave("probe_plugin", "a");
   give(order("a"));
   start_gateway();
   EXPECT_TRUE(eventually(

@@ -343,6 +343,17 @@ class ForeignOrders : public testing::Test {
     return options;
   }
   bool is_sealed(const std::string& path) { return with_seal().is_sealed(path, standing(path)); }
+  /// Selects the one instance that this deploys.
+  InstanceSelection deploy_one(const std::map<std::string, std::string>& properties = {}) {
+    DeployRequest request;
+    request.plugin = "turtle.so";
+    request.properties = properties;
+    const auto deployed = master_->deploy(request);
+    EXPECT_TRUE(deployed.all_done()) << deployed.summary();
+    InstanceSelection selection;
+    selection.instances = {deployed.outcomes.at(0).instance};
+    return selection;
+  }
   std::string standing(const std::string& path) { return master_.registry().get(path).value().data; }
   void write(const std::string& path, const std::string& bytes) { discovery::put(master_.registry(), path, bytes); }
 
@@ -354,14 +365,9 @@ class ForeignOrders : public testing::Test {
 
 TEST_F(ForeignOrders, AreNotSignedBecauseSomebodyChangesThem) {
   ASSERT_TRUE(master_.leads());
-  DeployRequest request;
-  request.plugin = "turtle.so";
-  const auto deployed = master_->deploy(request);
-  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
+  const InstanceSelection selection = deploy_one();
+  const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
   const auto backup = master_->backup();
-  InstanceSelection selection;
-  selection.instances = {deployed.outcomes.at(0).instance};
-  const auto path = paths_.order("lab1"_gateway, selection.instances.front());
   auto forged = discovery::decode_order(standing(path), path);
   forged.plugin = "evil.so";
   forged.driver = "turtle"_driver;  // the instance has one record, whichever of the two orders its gateway saw last
@@ -393,14 +399,8 @@ TEST_F(ForeignOrders, AreNotSignedBecauseSomebodyChangesThem) {
 
 TEST_F(ForeignOrders, ThatAMasterSignedLongAgoAreNotSignedAnewBecauseSomebodyChangesThem) {
   ASSERT_TRUE(master_.leads());
-  DeployRequest request;
-  request.plugin = "turtle.so";
-  request.properties = {{"rate", "1"}};
-  const auto deployed = master_->deploy(request);
-  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
-  InstanceSelection selection;
-  selection.instances = {deployed.outcomes.at(0).instance};
-  const auto path = paths_.order("lab1"_gateway, selection.instances.front());
+  const InstanceSelection selection = deploy_one({{"rate", "1"}});
+  const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
   const auto old = standing(path);
   const auto expect_refused = [&] {
     for (const auto& result : {master_->stop(selection), master_->start(selection)}) {
@@ -430,13 +430,8 @@ TEST_F(ForeignOrders, ThatAMasterSignedLongAgoAreNotSignedAnewBecauseSomebodyCha
 
 TEST_F(ForeignOrders, ThatAPersonAdoptsAsTheyStandAreChangedAgain) {
   ASSERT_TRUE(master_.leads());
-  DeployRequest request;
-  request.plugin = "turtle.so";
-  const auto deployed = master_->deploy(request);
-  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
-  InstanceSelection selection;
-  selection.instances = {deployed.outcomes.at(0).instance};
-  const auto path = paths_.order("lab1"_gateway, selection.instances.front());
+  const InstanceSelection selection = deploy_one();
+  const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
   const auto old = standing(path);
   ASSERT_TRUE(master_->stop(selection).all_done());
   write(path, old);  // the registry was put back to an earlier state, and the gateway is frozen
@@ -451,13 +446,8 @@ TEST_F(ForeignOrders, ThatAPersonAdoptsAsTheyStandAreChangedAgain) {
 
 TEST_F(ForeignOrders, ThatWereSignedLongBeforeTheyWereWrittenAreNotSignedByAMasterWithoutAMemoryOfThem) {
   ASSERT_TRUE(master_.leads());
-  DeployRequest request;
-  request.plugin = "turtle.so";
-  const auto deployed = master_->deploy(request);
-  ASSERT_TRUE(deployed.all_done()) << deployed.summary();
-  InstanceSelection selection;
-  selection.instances = {deployed.outcomes.at(0).instance};
-  const auto path = paths_.order("lab1"_gateway, selection.instances.front());
+  const InstanceSelection selection = deploy_one();
+  const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
   auto order = discovery::decode_order(standing(path), path);
   master_.end();
   TestMaster next(url_, with_seal());
