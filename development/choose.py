@@ -72,18 +72,16 @@ class Options:
         return not self.regexes["-R"]
 
 
-def discovered(build, program):
-    """The names that ctest knows of a program that was built; None: of one that was not."""
-    for file in build.glob(f"**/{program}[[]*[]]_tests.cmake"):
-        return DISCOVERED.findall(file.read_text(encoding="utf-8"))
-    return None
+def discovered(build):
+    """By program that was built, the names that ctest knows."""
+    return {file.name.partition("[")[0]: DISCOVERED.findall(file.read_text(encoding="utf-8"))
+            for file in build.glob("**/*[[]*[]]_tests.cmake")}
 
 
-def has_chosen(build, listed, options):
-    """Whether a program has, or may have, a test of a chosen name."""
+def has_chosen(built, listed, options):
+    """Whether a program has, or may have, a test of a chosen name. `built`: the names of its tests; None: it is not built."""
     if options.name_anything():
         return True
-    built = discovered(build, listed.name)
     if any(map(options.take_name, built or [])):
         return True
     for source in listed.sources:
@@ -101,11 +99,12 @@ def choose(build, words):
     """Returns the targets and the needs of the chosen tests."""
     options = Options(words)
     targets, needs = set(), set()
+    built = {} if options.name_anything() else discovered(build)
     for line in (build / "test_list.tsv").read_text(encoding="utf-8").splitlines():
         listed = Listed.of(line)
         if not options.take_labels(listed.labels):
             continue
-        if has_chosen(build, listed, options) if listed.is_program else options.take_name(listed.name):
+        if has_chosen(built.get(listed.name), listed, options) if listed.is_program else options.take_name(listed.name):
             targets.update(listed.targets)
             needs.update(listed.needs())
     return sorted(targets), sorted(needs)

@@ -13,9 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from lint import changed_files  # noqa: E402
+from lint import changed_files
 
 INCLUDE = re.compile(r"^\s*#\s*include\s*[<\"]iotcloud/([^>\"]+)[>\"]", re.MULTILINE)
 OF_ALL = re.compile(r"^cmake/|\.thrift$|^CMake(Lists\.txt|Presets\.json)$")
@@ -64,7 +62,7 @@ def main():
     if not targets:
         sys.exit(f"headers.py: {given.build} has no targets that compile headers alone")
     headers = sorted(targets)
-    if given.since:
+    if given.since is not None:
         headers = affected(headers, set(changed_files(given.since)), Includes("."))
     print(*(targets[header] for header in headers))
 

@@ -114,7 +114,9 @@ def run(command, environment):
             most[-1] = max(most[-1], sum(map(memory_mb, present)))
             time.sleep(PERIOD_S)
     seconds, cpu = time.monotonic() - began, sum(os.times()[2:4]) - cpu_began
-    rows = [(name, spent, cpu_s, memory) for (spent, name, cpu_s), memory in zip(steps(), most)]
+    ended = steps()
+    most += [0.0] * (len(ended) - len(most))  # steps that began and ended between two looks
+    rows = [(name, spent, cpu_s, memory) for (spent, name, cpu_s), memory in zip(ended, most)]
     failed = "" if child.returncode == 0 else f" (failed: {child.returncode})"
     rows.append(("whole" + failed, seconds, cpu, max(most)))
     return child.returncode, rows, others.text(seconds)

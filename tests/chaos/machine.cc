@@ -5,9 +5,10 @@
 // How many seconds the time of the day is ahead. Clocks that only count are left alone. A wait until a time of the day
 // gets the machine's time back, because the kernel knows nothing of this.
 //
-// 1 while the disk with the folder CHAOS_DISK is broken: with EIO fail reading from and writing to its files, making,
-// renaming and removing files and folders there. Opening a file that is there succeeds, as on a disk of which the
-// kernel remembers the folder; so does what the loader of libraries reads, which no library can stand between.
+// 1 while the disk with the folder CHAOS_DISK is broken: with EIO fail reading from and writing to its files, making
+// them with open(), and renaming and removing files and folders there, by the calls that our daemons use. Opening a
+// file that is there succeeds, as on a disk of which the kernel remembers the folder. So does what no library can stand
+// between: what the loader of libraries reads, and what glibc does inside of itself for fopen() and C++'s streams.
 #include <cerrno>
 #include <cstdarg>
 #include <cstddef>
@@ -100,8 +101,8 @@ timespec machines(const timespec* until) {
 /// Opens a file as `call` does. A file that may have to be made is not opened on a broken disk.
 template <typename Call>
 int opened(int folder, const char* path, int flags, va_list more, Call call) {
-  const bool makes = (flags & O_CREAT) != 0;
-  const mode_t mode = makes || (flags & O_TMPFILE) == O_TMPFILE ? va_arg(more, mode_t) : 0;
+  const bool makes = (flags & O_CREAT) != 0 || (flags & O_TMPFILE) == O_TMPFILE;
+  const mode_t mode = makes ? va_arg(more, mode_t) : 0;
   if (makes && broken(folder, path)) return -1;
   return call(mode);
 }

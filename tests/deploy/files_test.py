@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 """The shipped units of all daemons, under a systemd of their own (booted.py), with the secured files of deploy/fleet, which the
-commands of its page made and which belong to whom the commands in deploy/README.md give them: each daemon reads its key, its
+commands of its page made and which belong to whom the commands below its "Files" give them: each daemon reads its key, its
 tokens and its password, which is seen by what it does, and no other user reads them. Tokens and certificates are renewed without
 a restart.
 
@@ -37,7 +37,7 @@ NAMES = "echo '127.0.0.1 lab1 zk1 broker-1' >>/etc/hosts\necho lab1 >/etc/hostna
 
 def commands(deploy):
     """The blocks of commands in the README: what gives the files to the daemons, and what brings a renewed certificate."""
-    return re.findall(r"```sh\n(.*?)```", (deploy / "README.md").read_text().split("## Files")[1], re.DOTALL)
+    return re.findall(r"```sh\n(.*?)```", (deploy / "fleet" / "README.md").read_text().split("## Files")[1], re.DOTALL)
 
 
 class Machine(BootedCluster):

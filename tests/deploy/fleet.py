@@ -25,7 +25,7 @@ def make(deploy, programs, plugin, folder):
     shutil.copy(deploy / "systemd/registry-tunnel.conf", installed)
     plugins.mkdir()
     shutil.copy(plugin, plugins)
-    page = (deploy / "fleet" / "README.md").read_text(encoding="utf-8")
+    page = (deploy / "fleet" / "README.md").read_text(encoding="utf-8").split("## Files")[0]
     script = replaced("\n".join(re.findall(r"```sh\n(.*?)```", page, re.DOTALL)), {PLUGINS: plugins, INSTALLED: installed})
     done = subprocess.run(["/bin/sh", "-e", "-c", script], cwd=folder, capture_output=True, text=True, timeout=120, check=False,
                           env={"PATH": f"{programs}:/usr/bin:/bin"})

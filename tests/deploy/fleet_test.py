@@ -11,12 +11,24 @@ import sys
 import tempfile
 
 import fleet
+import yaml
 
-# What no daemon of the fleet may lack.
-ALL = ["registry.user:", "registry.password_file:", "registry.users:", "trusted_keys:", "tls:", "tokens:", "revoked:"]
-KEYS = {"master": [*ALL, "signing_key:", "gateway_token_file:", "worker_token_file:", "audit:"],
-        "gateway": [*ALL, "host_user:", "host_starter:", "host_files:", "plugins.require_signature: true", "password_file:", "audit:"],
-        "topology": [*ALL, "password_file:"]}
+# What no daemon of the fleet may lack: keys, with those of the mappings in which they stand before them.
+ALL = ["registry.user", "registry.password_file", "registry.users", "metrics/tls/revoked", "metrics/tokens"]
+KEYS = {"master": [*ALL, "orders/signing_key", "orders/trusted_keys", "api/tls/revoked", "api/tokens",
+                   "api/gateway_token_file", "api/worker_token_file", "audit/file"],
+        "gateway": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "host_user", "host_starter", "host_files/write",
+                    "plugins.require_signature", "plugins.trusted_keys", "brokers/rabbitmq/password_file", "brokers/rabbitmq/tls/ca",
+                    "audit/file"],
+        "topology": [*ALL, "orders.trusted_keys", "brokers/rabbitmq/password_file", "brokers/rabbitmq/tls/ca"]}
+
+
+def has(configuration, path):
+    for key in path.split("/"):
+        if not isinstance(configuration, dict) or not configuration.get(key):
+            return False
+        configuration = configuration[key]
+    return True
 
 
 def check(daemon, file):
@@ -33,7 +45,7 @@ def main():
             text = made.read_text(encoding="utf-8")
             if text != (deploy / "fleet" / f"{name}.yaml").read_text(encoding="utf-8"):
                 sys.exit(f"the commands of the page change {name}.yaml")
-            if missing := [key for key in keys if not any(line.split("#")[0].find(key) >= 0 for line in text.splitlines())]:
+            if missing := [key for key in keys if not has(yaml.safe_load(text), key)]:
                 sys.exit(f"{name}.yaml has no {missing}")
             paths = {"/etc/iotcloud": folder / "etc"}
             if name == "gateway":

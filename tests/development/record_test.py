@@ -40,14 +40,16 @@ class RecordTest(unittest.TestCase):
             self.enterContext(unittest.mock.patch.object(record, name, value))
 
     def test_each_step_has_its_own_most_memory_and_a_failure_is_told(self):
-        measure = record.memory_mb
+        measure, looks = record.memory_mb, []
 
         def look(pid):
             memory = measure(pid)
             if memory > 200:
                 (self.folder / "seen_big").touch()
             elif record.steps() and memory > 0:
-                (self.folder / "seen_small").touch()
+                looks.append(pid)  # the first one may belong to a look that began before the big step's end
+                if looks.count(pid) > 1:
+                    (self.folder / "seen_small").touch()
             return memory
 
         with unittest.mock.patch.object(record, "memory_mb", look):

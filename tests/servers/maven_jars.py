@@ -42,8 +42,10 @@ def fetch(name):
 
 
 def archive_of(name):
-    """Where share_classes.py keeps what it made; it goes with the jars."""
-    return os.path.join(os.path.realpath(os.path.join(FETCHED, name)), "classes.jsa")
+    """Where share_classes.py keeps what it made with the Java that is installed; it goes with the jars. One of another Java
+    would be ignored."""
+    java = os.path.realpath(shutil.which("java") or "/")
+    return os.path.join(os.path.realpath(os.path.join(FETCHED, name)), "classes-%d.jsa" % os.stat(java).st_mtime)
 
 
 def shared_classes(name, jvm):

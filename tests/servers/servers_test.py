@@ -189,7 +189,7 @@ class FetchTest(unittest.TestCase):
         with tempfile.TemporaryDirectory(prefix="iotcloud-servers-") as folder, \
                 unittest.mock.patch.object(maven_jars, "FETCHED", folder):
             self.assertEqual(maven_jars.shared_classes("kafka", private_server.QUICK_START), [])
-            archive = Path(folder, "kafka", "classes.jsa")
+            archive = Path(maven_jars.archive_of("kafka"))
             archive.parent.mkdir()
             archive.touch()
             self.assertEqual(maven_jars.shared_classes("kafka", private_server.QUICK_START),

@@ -7,6 +7,7 @@
 (JEP 350). A server's script uses the archive if there is one (maven_jars.shared_classes); without it all works as well.
 """
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -37,9 +38,12 @@ def share(name):
         finally:
             server.stop()
         own = "%s.%d" % (archive, os.getpid())
-        with open(written, "rb") as source, open(own, "wb") as target:
-            target.write(source.read())
-        os.replace(own, archive)
+        try:
+            shutil.copyfile(written, own)
+            os.replace(own, archive)
+        finally:
+            if os.path.exists(own):
+                os.unlink(own)
 
 
 def main():
