@@ -4,7 +4,6 @@
 usage: configuration_test.py BIN_DIR
 """
 
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,6 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "deploy/cluster"))
 
 import cluster  # noqa: E402  (its folder is known now)
+import cluster_secrets  # noqa: E402
 from compose_file_test import folder_of  # noqa: E402
 
 CONFIGURATIONS = ROOT / "deploy/cluster"
@@ -24,25 +24,6 @@ DAEMONS = {"master": "iotcloud-master", "gateway": "iotcloud-gateway", "topology
 
 def run(*command):
     return subprocess.run([str(word) for word in command], capture_output=True, text=True, timeout=60)
-
-
-def make_secrets(iotcloud, folder, services):
-    """Makes the files of a container's /run/secrets, where certificates have the service's name."""
-    hosts = [name for name in services if (CONFIGURATIONS / f"{name}.yaml").exists() and name != "topology"]
-    run(iotcloud, "certs", "init", folder, "--host", ",".join(hosts)).check_returncode()
-    for end in ("pem", "key"):
-        shutil.copy(folder / f"{hosts[0]}.{end}", folder / f"host.{end}")
-    for file in ("tokens", "masters.tokens", "pages.tokens"):
-        run(iotcloud, "token", "add", "anna", "--role", "admin", "--file", folder / file).check_returncode()
-    for user in [*hosts, "workers"]:
-        role = user.split("-")[0] if "-" in user else "worker"
-        run(iotcloud, "registry", "user", user, "--role", role, "--file", folder / "registry.users").check_returncode()
-    for key in ("master-1.orders", "master-2.orders"):
-        run(iotcloud, "keys", "new", folder / key).check_returncode()
-    shutil.copy(folder / "master-1.orders.key", folder / "orders.key")
-    for name, text in {"registry.password": "a\n", "rabbitmq.password": "b\n", "rabbitmq-reads.password": "d\n", "pages.token": "c\n"}.items():
-        (folder / name).write_text(text, encoding="utf-8")
-        (folder / name).chmod(0o600)
 
 
 def secrets_named(text, services):
@@ -61,14 +42,15 @@ def main():
     files = {file.name for file in CONFIGURATIONS.glob("*.yaml")}
     if set(used) != files:
         sys.exit(f"deploy/cluster has {sorted(files)}, docker-compose.yml uses {sorted(used)}")
-    with tempfile.TemporaryDirectory() as work:
+    with tempfile.TemporaryDirectory(dir=programs.parent) as work:
         secrets = Path(work) / "secrets"
-        secrets.mkdir(mode=0o700)
-        make_secrets(programs / "iotcloud", secrets, services)
+        cluster_secrets.make(programs, secrets)
         for name, daemon in sorted(used.items()):
             original = text = (CONFIGURATIONS / name).read_text(encoding="utf-8")
+            folder = folder_of(next(service for service in services.values()
+                                    if service.get("command", [""])[-1] == f"/etc/iotcloud/{name}"))
             file = Path(work) / name
-            here = {"/run/secrets": str(secrets), "/usr/lib/iotcloud/plugins": str(programs.parent / "plugins")}
+            here = {"/run/secrets": str(secrets / folder), "/usr/lib/iotcloud/plugins": str(programs.parent / "plugins")}
             for there, path in here.items():
                 text = text.replace(there, path)
             file.write_text(text, encoding="utf-8")
@@ -81,9 +63,7 @@ def main():
                 sys.exit(f"{daemon} --check-config takes nonsense")
             # The compose file defines where services and secrets are.
             for secret in secrets_named(original, services):
-                service = next(service for service in services.values()
-                               if service.get("command", [""])[-1] == f"/etc/iotcloud/{name}")
-                if Path(secret).name not in cluster.FILES[folder_of(service)]:
+                if Path(secret).name not in cluster.FILES[folder]:
                     sys.exit(f"{name} names {secret}, which docker-compose.yml does not give to its service")
     print(f"{len(used)} configurations are good")
 

@@ -23,28 +23,12 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "deploy/cluster"), str(ROOT / "tests/servers")]
 
 import cluster  # noqa: E402  (its folder is known now)
+import cluster_secrets  # noqa: E402
 from private_cluster import PrivateCluster, free_port, require, wait_for  # noqa: E402
 
 CONFIGURATIONS = ROOT / "deploy/cluster"
 SAMPLE = CONFIGURATIONS / "prometheus.yml"
 METRIC = re.compile(r"^iotcloud_\w+(\{.*\})? \S+$", re.M)
-
-
-class OnThisMachine:
-    """Runs what `cluster.py` would run in a container."""
-
-    def __init__(self, iotcloud, folder):
-        self.iotcloud, self.folder = iotcloud, folder
-
-    def once(self, _, *words):
-        return [str(self.iotcloud), *(word.replace("/secrets", str(self.folder)) for word in words)]
-
-
-def make_secrets(programs, folder):
-    """What `./dev cluster up` makes: a folder for each service."""
-    cluster.SECRETS = folder
-    cluster.user_id = lambda: 0  # these daemons run as this test does
-    cluster.make_secrets(OnThisMachine(programs / "iotcloud", folder.with_name("secrets.new") / "authority"))
 
 
 def configuration_of(service):
@@ -133,7 +117,7 @@ def main():
     # Below the project's folder, as those of `./dev cluster up` are.
     with tempfile.TemporaryDirectory(dir=programs.parent) as work:
         secrets = Path(work) / "secrets"
-        make_secrets(programs, secrets)
+        cluster_secrets.make(programs, secrets)
         check_by_promtool(secrets, Path(work))
         with PrivateCluster(Path(work) / "out", programs, programs.parent / "plugins") as machine:
             machine.zookeeper = machine.server("zookeeper")
