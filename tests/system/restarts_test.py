@@ -9,6 +9,7 @@ usage: restarts_test.py BUILD_DIR
 import re
 import shutil
 import sys
+import time
 import urllib.request
 from pathlib import Path
 
