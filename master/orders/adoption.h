@@ -4,7 +4,8 @@
 
 namespace iotcloud::master {
 
-/// Tells frozen gateways (discovery/freeze.h) that the registry's orders are meant as they stand. Thread safe.
+/// Tells frozen gateways (discovery/freeze.h) that the registry's orders are meant as they stand. For gateways that it
+/// names, frozen or not, this master forgets which orders it gave last. Thread safe.
 class Adoptions {
  public:
   explicit Adoptions(OrderDesk& desk) : desk_(desk) {}

@@ -22,14 +22,17 @@ Verdict of_later_master() {
   return {OrderOutcome::failed, "a later master has given orders for it; this one's lead is over"};
 }
 
-/// Somebody put it there once more, and would have this master sign it.
-Verdict of_earlier_time() {
-  return {
-      OrderOutcome::failed,
-      "a master has signed the order that stands there, but it is out of date: somebody wrote an old one once more, "
-      "or copied the registry (or its clock is minutes ahead), so it is not changed: undeploy the instance and deploy "
-      "it again, or `iotcloud registry "
-      "import --replace` a backup"};
+/// Somebody put it there once more, and would have this master sign it. \param remembered this master has given a later
+/// one, which an adoption makes it forget
+Verdict of_earlier_time(const GatewayId& gateway, bool remembered) {
+  return {OrderOutcome::failed,
+          "a master has signed the order that stands there, but it is out of date: somebody wrote an old one once "
+          "more, or copied the registry (or its clock is minutes ahead), so it is not changed: undeploy the instance "
+          "and deploy it again, or `iotcloud registry import --replace` a backup" +
+              (remembered ? fmt::format("; if the registry was put back, and its orders are meant as they stand, "
+                                        "`iotcloud registry adopt {}`",
+                                        gateway)
+                          : "")};
 }
 
 /// By so much may the clocks of masters and of the registry differ.
@@ -209,7 +212,8 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead, const st
     if (!ours && standing == Standing::is_kept) return of_nobody_trusted();
     auto order = discovery::decode_order(node->data, path);
     if (ours && order.epoch > lead.epoch) return of_later_master();
-    if (ours && standing == Standing::is_kept && is_old(*node, order.given_ms, known)) return of_earlier_time();
+    if (ours && standing == Standing::is_kept && is_old(*node, order.given_ms, known))
+      return of_earlier_time(where.gateway, order.given_ms < known);
     const auto given_before = std::max(ours ? order.given_ms : 0, known);
     alter(order);
     order.epoch = lead.epoch;

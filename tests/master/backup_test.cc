@@ -444,6 +444,21 @@ TEST_F(ForeignOrders, ThatAPersonAdoptsAsTheyStandAreChangedAgain) {
   EXPECT_TRUE(master_->stop(selection).all_done());
 }
 
+TEST_F(ForeignOrders, ThatAPersonAdoptsAreChangedAgainAlsoByAMasterThatDidNotThawTheGateway) {
+  ASSERT_TRUE(master_.leads());
+  const InstanceSelection selection = deploy_one();
+  const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
+  const auto old = standing(path);
+  ASSERT_TRUE(master_->stop(selection).all_done());
+  write(path, old);  // another master led meanwhile, and adopted the registry that was put back
+  const auto refused = master_->stop(selection);
+  ASSERT_THAT(refused.outcomes, SizeIs(1)) << refused.summary();
+  EXPECT_THAT(refused.outcomes.front().reason, HasSubstr("`iotcloud registry adopt lab1`"));
+  const auto adopted = master_->give("adopt", R"({"gateways": ["lab1"]})").result;
+  EXPECT_THAT(adopted.outcomes.at(0).reason, HasSubstr("not frozen"));
+  EXPECT_TRUE(master_->stop(selection).all_done());
+}
+
 TEST_F(ForeignOrders, ThatWereSignedLongBeforeTheyWereWrittenAreNotSignedByAMasterWithoutAMemoryOfThem) {
   ASSERT_TRUE(master_.leads());
   const InstanceSelection selection = deploy_one();
@@ -462,6 +477,7 @@ TEST_F(ForeignOrders, ThatWereSignedLongBeforeTheyWereWrittenAreNotSignedByAMast
   const auto stopped = third->stop(selection);
   ASSERT_THAT(stopped.outcomes, SizeIs(1)) << stopped.summary();
   EXPECT_THAT(stopped.outcomes.front().reason, testing::HasSubstr("somebody wrote an old one once more"));
+  EXPECT_THAT(stopped.outcomes.front().reason, testing::Not(HasSubstr("adopt"))) << "which would not help";
 }
 
 TEST_F(ForeignOrders, ToTopologiesThatAMasterSignedLongAgoLeaveNothingInTheNextOne) {
