@@ -141,15 +141,8 @@ Verdict Backups::place(const TopologyBackup& topology, bool replace, const disco
   order.epoch = lead.epoch;
   order.given_ms = std::max({config::system_clock().wall_ms(), node ? order.given_ms : 0, desk_.book.last_given(path)});
   order.kill.reset();
-  const std::string bytes = desk_.book.sealed(path, encode(order));
-  if (!node) {
-    desk_.registry.create(path, bytes, true, lead.fence);
-    desk_.book.note_given(path, order.given_ms);
-    return {OrderOutcome::done, ""};
-  }
-  desk_.registry.set(path, bytes, node->version, lead.fence);
-  desk_.book.note_given(path, order.given_ms);
-  return {OrderOutcome::done, "it took another order's place"};
+  desk_.book.put_topology(path, node, order, lead);
+  return {OrderOutcome::done, node ? "it took another order's place" : ""};
 }
 
 std::vector<OrderKind> backup_orders() {

@@ -63,9 +63,12 @@ std::int64_t LastGiven::at(const std::string& path) const {
 }
 
 void LastGiven::forget(const std::string& above) {
+  const std::string prefix = above + "/";
   const config::MutexLock lock(mutex_);
-  for (Times* times : {&newer_, &older_})
-    std::erase_if(*times, [&](const auto& each) { return each.first.starts_with(above + "/"); });
+  for (Times* times : {&newer_, &older_}) {
+    auto at = times->lower_bound(prefix);
+    while (at != times->end() && at->first.starts_with(prefix)) at = times->erase(at);
+  }
 }
 
 const GatewayStatus* find(const std::vector<GatewayStatus>& gateways, const GatewayId& id) {
@@ -162,7 +165,18 @@ void OrderBook::create(const GatewayId& gateway, OrderRecord order, const Lead& 
   const auto path = paths_.order(gateway, order.instance);
   if (seal_) order.given_ms = std::max(config::system_clock().wall_ms(), given_.at(path));
   registry_.create(path, sealed(path, encode(order)), true, lead.fence);
-  given_.note(path, order.given_ms);
+  note_given(path, order.given_ms);
+}
+
+void OrderBook::put_topology(const std::string& path, const std::optional<discovery::Node>& node,
+                             const discovery::TopologyOrder& order, const Lead& lead) {
+  const std::string bytes = sealed(path, encode(order));
+  if (node) {
+    registry_.set(path, bytes, node->version, lead.fence);
+  } else {
+    registry_.create(path, bytes, true, lead.fence);
+  }
+  note_given(path, order.given_ms);
 }
 
 /// Says with this master's signature that the order is removed, for gateways that follow signed orders only.
@@ -172,7 +186,7 @@ void OrderBook::announce_removal(const Located& where, const OrderRecord* order,
   if (order != nullptr) removal.given_ms = std::max(removal.given_ms, order->given_ms + 1);
   const auto path = paths_.removal(where.gateway, where.instance);
   discovery::put(registry_, path, sealed(path, encode(removal)), lead.fence);
-  given_.note(paths_.order(where.gateway, where.instance), removal.given_ms);
+  note_given(paths_.order(where.gateway, where.instance), removal.given_ms);
 }
 
 MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
@@ -224,7 +238,7 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead, const st
                      fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
     try {
       registry_.set(path, sealed(path, bytes), node->version, lead.fence);
-      given_.note(path, order.given_ms);
+      note_given(path, order.given_ms);
       return std::nullopt;
     } catch (const RegistryError& e) {
       if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again

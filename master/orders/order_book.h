@@ -94,10 +94,16 @@ class OrderBook {
   /// node was written long after a master gave what stands there. \param known last_given() before the node was read
   bool is_old(const discovery::Node& node, std::int64_t given_ms, std::int64_t known) const;
   std::int64_t last_given(const std::string& path) const { return given_.at(path); }
-  void note_given(const std::string& path, std::int64_t given_ms) { given_.note(path, given_ms); }
+  /// Writes a topology's order. \param node what stood there when the order was made; nullopt: nothing
+  void put_topology(const std::string& path, const std::optional<discovery::Node>& node,
+                    const discovery::TopologyOrder& order, const discovery::Lead& lead);
   void forget_given(const discovery::GatewayId& gateway) { given_.forget(paths_.orders(gateway)); }
 
  private:
+  /// A master that does not sign asks nobody when an order was given, and remembers nothing.
+  void note_given(const std::string& path, std::int64_t given_ms) {
+    if (seals()) given_.note(path, given_ms);
+  }
   void announce_removal(const Located& where, const discovery::OrderRecord* order, const discovery::Lead& lead);
   discovery::Registry& registry_;
   const discovery::Paths& paths_;

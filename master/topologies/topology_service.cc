@@ -158,13 +158,7 @@ TopologyOrder TopologyService::write_order(const TopologyRequest& request, const
     const auto node = desk_.registry.get(path);
     const TopologyOrder order = changed_order(node, known, request, workers, lead, wait);
     try {
-      const std::string bytes = desk_.book.sealed(path, discovery::encode(order));
-      if (node) {
-        desk_.registry.set(path, bytes, node->version, lead.fence);
-      } else {
-        desk_.registry.create(path, bytes, true, lead.fence);
-      }
-      desk_.book.note_given(path, order.given_ms);
+      desk_.book.put_topology(path, node, order, lead);
       return order;
     } catch (const RegistryError& e) {
       // The order changed meanwhile: read it again.
