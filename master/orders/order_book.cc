@@ -182,11 +182,13 @@ void OrderBook::put_topology(const std::string& path, const std::optional<discov
 /// Says with this master's signature that the order is removed, for gateways that follow signed orders only.
 void OrderBook::announce_removal(const Located& where, const OrderRecord* order, const Lead& lead) {
   if (!seal_) return;
-  discovery::OrderRemoval removal{where.instance, lead.epoch, config::system_clock().wall_ms()};
-  if (order != nullptr) removal.given_ms = std::max(removal.given_ms, order->given_ms + 1);
+  const auto order_path = paths_.order(where.gateway, where.instance);
+  const auto given_before = std::max(order != nullptr ? order->given_ms : 0, given_.at(order_path));
+  const discovery::OrderRemoval removal{where.instance, lead.epoch,
+                                        std::max(config::system_clock().wall_ms(), given_before + 1)};
   const auto path = paths_.removal(where.gateway, where.instance);
   discovery::put(registry_, path, sealed(path, encode(removal)), lead.fence);
-  note_given(paths_.order(where.gateway, where.instance), removal.given_ms);
+  note_given(order_path, removal.given_ms);
 }
 
 MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {

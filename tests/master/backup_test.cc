@@ -459,6 +459,23 @@ TEST_F(ForeignOrders, ThatAPersonAdoptsAreChangedAgainAlsoByAMasterThatDidNotTha
   EXPECT_TRUE(master_->stop(selection).all_done());
 }
 
+TEST_F(ForeignOrders, ThatAMasterSignedLongAgoEndWithARemovalThatIsLaterThanWhatItGaveLast) {
+  ASSERT_TRUE(master_.leads());
+  const InstanceSelection selection = deploy_one();
+  const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
+  const auto old = standing(path);
+  auto ahead = discovery::decode_order(old, path);  // of a master whose clock is an hour ahead
+  ahead.given_ms += std::chrono::milliseconds(std::chrono::hours(1)).count();
+  write(path, seal(path, encode(ahead)));
+  ASSERT_TRUE(master_->stop(selection).all_done());
+  const auto last = discovery::decode_order(standing(path), path).given_ms;
+  ASSERT_GT(last, ahead.given_ms);
+  write(path, old);
+  ASSERT_TRUE(master_->undeploy(selection).all_done());
+  const auto removed = paths_.removal("lab1"_gateway, selection.instances.front());
+  EXPECT_GT(discovery::decode_removal(standing(removed), removed).given_ms, last);
+}
+
 TEST_F(ForeignOrders, ThatWereSignedLongBeforeTheyWereWrittenAreNotSignedByAMasterWithoutAMemoryOfThem) {
   ASSERT_TRUE(master_.leads());
   const InstanceSelection selection = deploy_one();
