@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <set>
+#include <utility>
 
 #include <fmt/ranges.h>
 
@@ -100,25 +101,27 @@ std::optional<TopologyResult> TopologyService::refuse_unknown_topology(const dis
                                        : fmt::format("no topology \"{}\"; there are {}", name, fmt::join(known, ", ")));
 }
 
-/// \return the order as it is to be from now on. \throws config::Error when it cannot be given.
-TopologyOrder TopologyService::changed_order(const std::optional<Node>& node, std::int64_t known,
-                                             const TopologyRequest& request, const std::vector<WorkerRecord>& workers,
-                                             const discovery::Lead& lead, milliseconds wait) const {
+/// \throws config::Error when the order cannot be given.
+TopologyService::Change TopologyService::changed_order(const std::optional<Node>& node, std::int64_t known,
+                                                       const TopologyRequest& request, const Workers& workers,
+                                                       const discovery::Lead& lead, milliseconds wait) const {
   TopologyOrder order;
   const std::string path = desk_.options.paths.topology_order(request.topology);
   const bool ours = node && desk_.book.is_ours(path, node->data);
   if (ours) order = discovery::decode_topology_order(node->data, path);
   const bool old = ours && desk_.book.is_old(*node, order.given_ms, known);
-  if (node && (!ours || old) && request.change == TopologyChange::rebalance) {
+  const bool forgets = node && (!ours || old);
+  if (forgets && request.change == TopologyChange::rebalance) {
     throw config::Error((old ? "somebody wrote once more an old order that now stands for topology "
                              : "no trusted master has signed the order that stands for topology ") +
                         request.topology +
                         ", so it is not changed: activate or deactivate the topology, which takes that order's place");
   }
-  if (old) {  // nothing of it is left
-    order.active = true;
-    order.parallelism.clear();
-    order.kill.reset();
+  if (old) {
+    const TopologyOrder there = std::exchange(order, {});
+    order.revision = there.revision;
+    order.epoch = there.epoch;
+    order.given_ms = there.given_ms;
   }
   if (order.epoch > lead.epoch) throw config::Error("a later master has given orders for it; this one's lead is over");
   std::int64_t last = order.revision;
@@ -147,19 +150,19 @@ TopologyOrder TopologyService::changed_order(const std::optional<Node>& node, st
       order.kill->awaited_until_ms = config::system_clock().wall_ms() + wait.count() + 1000;
       break;
   }
-  return order;
+  return {order, forgets};
 }
 
-TopologyOrder TopologyService::write_order(const TopologyRequest& request, const std::vector<WorkerRecord>& workers,
-                                           const discovery::Lead& lead, milliseconds wait) {
+TopologyService::Change TopologyService::write_order(const TopologyRequest& request, const Workers& workers,
+                                                     const discovery::Lead& lead, milliseconds wait) {
   const std::string path = desk_.options.paths.topology_order(request.topology);
   while (!desk_.leadership.closing().stop_requested()) {
     const auto known = desk_.book.last_given(path);  // before the node is read
     const auto node = desk_.registry.get(path);
-    const TopologyOrder order = changed_order(node, known, request, workers, lead, wait);
+    const Change change = changed_order(node, known, request, workers, lead, wait);
     try {
-      desk_.book.put_topology(path, node, order, lead);
-      return order;
+      desk_.book.put_topology(path, node, change.order, lead);
+      return change;
     } catch (const RegistryError& e) {
       // The order changed meanwhile: read it again.
       if (e.code() != RegistryErrorCode::bad_version && e.code() != RegistryErrorCode::exists &&
@@ -192,8 +195,13 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
   }
   const milliseconds wait = desk_.limit(
       kill && !request.wait ? std::max(desk_.options.outcome_timeout, request.drain + end_margin) : request.wait);
-  const TopologyOrder order = write_order(request, workers, *lead, wait);
+  const auto [order, forgets] = write_order(request, workers, *lead, wait);
   if (workers.empty()) result.text = "no worker runs; those that start will follow";
+  if (forgets && !kill) {
+    result.text += (result.text.empty() ? "" : "; ") +
+                   std::string("somebody else's or an old order stood there, and the parallelism that it gave is "
+                               "forgotten: `iotcloud topology rebalance` gives it again");
+  }
 
   TopologyWatch watch(desk_.registry, desk_.options.paths, request.topology, order.revision, kill);
   for (const WorkerRecord& worker : workers) watch.expect(worker.name);

@@ -510,8 +510,11 @@ TEST_F(ForeignOrders, ToTopologiesThatAMasterSignedLongAgoLeaveNothingInTheNextO
   old.parallelism = {{"work", 1000}};
   write(path, seal(path, encode(old)));
   request.change = TopologyChange::activate;
-  ASSERT_TRUE(master_->order(request).all_done());
+  const auto activated = master_->order(request);
+  ASSERT_TRUE(activated.all_done());
+  EXPECT_THAT(activated.text, HasSubstr("the parallelism that it gave is forgotten"));
   EXPECT_THAT(discovery::decode_topology_order(standing(path), path).parallelism, IsEmpty());
+  EXPECT_THAT(master_->order(request).text, testing::Not(HasSubstr("forgotten")));
 }
 
 TEST_F(ForeignOrders, ToTopologiesLeaveNothingInTheNextOne) {
