@@ -3,6 +3,7 @@
 #include <fmt/ranges.h>
 
 #include <iotcloud/config/clock.h>
+#include <iotcloud/discovery/order_times.h>
 #include <iotcloud/master/orders/order_book.h>
 
 namespace iotcloud::master {
@@ -34,9 +35,6 @@ Verdict of_earlier_time(const GatewayId& gateway, bool remembered) {
                                         gateway)
                           : "")};
 }
-
-/// By so much may the clocks of masters and of the registry differ.
-constexpr std::int64_t clocks_differ_ms = std::chrono::milliseconds(std::chrono::minutes(10)).count();
 
 /// Whoever wrote it would have this master sign it.
 Verdict of_nobody_trusted() {
@@ -158,7 +156,7 @@ std::optional<OrderRecord> OrderBook::get(const GatewayId& gateway, const Instan
 
 bool OrderBook::is_old(const discovery::Node& node, std::int64_t given_ms, std::int64_t known) const {
   if (!seal_ || !is_sealed_ || given_ms == known) return false;
-  return given_ms < known || node.modified_ms - given_ms > clocks_differ_ms;
+  return given_ms < known || discovery::written_late(node, given_ms);
 }
 
 void OrderBook::create(const GatewayId& gateway, OrderRecord order, const Lead& lead) {

@@ -5,6 +5,7 @@
 
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/order_times.h>
 #include <iotcloud/security/signed_object.h>
 #include <iotcloud/topology/worker/control.h>
 #include <iotcloud/topology/worker/left_behind.h>
@@ -24,9 +25,6 @@ namespace {
 const config::Logger control_logger{"topology.control"};
 /// How often a drain checks whether it is done.
 constexpr milliseconds drain_pause{5};
-/// How far the clocks of a master and a worker may differ. What is ordered while a worker runs was given after its
-/// start, less this.
-constexpr milliseconds clocks_differ = std::chrono::minutes(10);
 
 std::map<std::string, int> parallelism_of(const Topology& topology) {
   std::map<std::string, int> parallelism;
@@ -154,7 +152,8 @@ void WorkerControl::follow(const std::optional<Node>& node, const std::stop_toke
     }
   }
   if (const std::string why = node ? objection(*node, order) : ""; !why.empty()) return refuse(why);
-  const std::int64_t start = options_.worker.since_ms - clocks_differ.count();
+  // What is ordered while a worker runs was given after its start.
+  const std::int64_t start = options_.worker.since_ms - discovery::clocks_differ.count();
   oldest_ = std::max(oldest_, node ? order.given_ms : start);
   if (const auto followed = record().revision; order.revision < followed) {
     return stay(node ? fmt::format("the registry was put back to order {}", order.revision)
@@ -227,8 +226,7 @@ std::string WorkerControl::objection(const Node& node, const TopologyOrder& orde
 /// Whether the order was written to the registry long after its master gave it. The worker's own node tells how the
 /// registry's clock differs from the worker's.
 bool WorkerControl::written_late(const Node& node, std::int64_t given_ms) {
-  const auto late = [&](std::int64_t written_ms) { return written_ms - given_ms > clocks_differ.count(); };
-  if (!late(node.modified_ms)) return false;
+  if (!discovery::written_late(node, given_ms)) return false;
   std::int64_t ahead = 0;
   try {
     report();
@@ -237,7 +235,7 @@ bool WorkerControl::written_late(const Node& node, std::int64_t given_ms) {
   } catch (const RegistryError& error) {
     control_logger.debug("the registry's time is not known: {}", error.what());
   }
-  return late(node.modified_ms - ahead);
+  return discovery::written_late(node, given_ms + ahead);
 }
 
 /// Refuses an order that no trusted master wrote, or that is an old one that somebody wrote again.
