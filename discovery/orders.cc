@@ -16,20 +16,7 @@ std::string as_text(const Record& record) {
 }  // namespace
 
 nlohmann::json parse_json(const std::string& text, const std::string& path, std::size_t longest) {
-  if (text.size() > longest) {
-    throw config::Error(path + ": " + std::to_string(text.size()) + " bytes are more than it may have (" +
-                        std::to_string(longest) + ")");
-  }
-  const auto not_too_deep = [&](int depth, nlohmann::json::parse_event_t, const nlohmann::json&) {
-    if (depth <= most_json_levels) return true;
-    throw config::Error(path + ": the JSON has more than " + std::to_string(most_json_levels) +
-                        " levels of lists and objects within each other");
-  };
-  try {
-    return nlohmann::json::parse(text, not_too_deep);
-  } catch (const nlohmann::json::exception& error) {
-    throw config::Error(path + " in JSON: " + error.what());
-  }
+  return parse_json_as<nlohmann::json>(text, path, longest);
 }
 
 nlohmann::json parse_json(const std::string& text, const std::string& path) {

@@ -7,6 +7,7 @@
 #include <optional>
 #include <stdexcept>
 #include <string>
+#include <string_view>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -228,6 +229,25 @@ inline constexpr int most_json_levels = 64;
 /// levels.
 nlohmann::json parse_json(const std::string& text, const std::string& path, std::size_t longest);
 nlohmann::json parse_json(const std::string& text, const std::string& path);
+
+/// As parse_json(), into another kind of JSON.
+template <typename Json>
+Json parse_json_as(std::string_view text, const std::string& path, std::size_t longest) {
+  if (text.size() > longest) {
+    throw config::Error(path + ": " + std::to_string(text.size()) + " bytes are more than it may have (" +
+                        std::to_string(longest) + ")");
+  }
+  const auto not_too_deep = [&](int depth, typename Json::parse_event_t, const Json&) {
+    if (depth <= most_json_levels) return true;
+    throw config::Error(path + ": the JSON has more than " + std::to_string(most_json_levels) +
+                        " levels of lists and objects within each other");
+  };
+  try {
+    return Json::parse(text, not_too_deep);
+  } catch (const typename Json::exception& error) {
+    throw config::Error(path + " in JSON: " + error.what());
+  }
+}
 
 /// Like from_json(), for text that is still to be parsed: parse_json().
 template <Described Struct>

@@ -72,15 +72,11 @@ std::string hex(std::string_view bytes, const char* between) {
 /// The JSON of a payload, which may come from anybody who may publish; discarded when it is none, or has so many levels
 /// within each other that to write it, which is recursive, could end the process.
 Json parse(std::string_view payload) {
-  bool too_deep = false;
-  Json json = Json::parse(
-      payload,
-      [&](int depth, Json::parse_event_t, const Json&) {
-        too_deep = too_deep || depth > discovery::most_json_levels;
-        return !too_deep;
-      },
-      false);
-  return too_deep ? Json(Json::value_t::discarded) : std::move(json);
+  try {
+    return discovery::parse_json_as<Json>(payload, "the payload", payload.size());
+  } catch (const config::Error&) {
+    return Json(Json::value_t::discarded);
+  }
 }
 
 /// What `auto_` finds: the format, and the parsed JSON if it is that.
