@@ -72,7 +72,7 @@ class OpenStores {
     } else if (url.starts_with(rocksdb) && url.size() > rocksdb.size() + 1 && url[rocksdb.size()] == '/') {
       store = internal::open_rocksdb(url.substr(rocksdb.size()));
     } else if (url.starts_with("redis://") || url.starts_with("rediss://")) {
-      store = internal::open_redis(url, config::system_clock());
+      store = internal::open_redis(url);
     } else {
       used_.erase(url);
       throw StateError("\"" + url +

@@ -20,7 +20,8 @@ namespace iotcloud::topology::internal {
 class RedisPool {
  public:
   /// \param clock outlives the pool
-  RedisPool(RedisAddress address, const config::Clock& clock) : address_(std::move(address)), clock_(clock) {}
+  explicit RedisPool(RedisAddress address, const config::Clock& clock = config::system_clock())
+      : address_(std::move(address)), clock_(clock) {}
 
   /// Looks for the master, unless there is a connection to it. \throws StateError if a server does not let this client
   /// in or may drop keys; StateUnavailable if there is no master now

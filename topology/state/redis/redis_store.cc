@@ -68,8 +68,7 @@ std::string redis_key(const StateOwner& owner, const std::string& key) {
 
 class RedisStore final : public StateStore {
  public:
-  RedisStore(const std::string& url, const config::Clock& clock)
-      : address_(parse_redis_address(url)), pool_(address_, clock) {}
+  explicit RedisStore(const std::string& url) : address_(parse_redis_address(url)), pool_(address_) {}
 
   bool shared() const override { return true; }
 
@@ -125,8 +124,8 @@ class RedisStore final : public StateStore {
 
 }  // namespace
 
-std::shared_ptr<StateStore> open_redis(const std::string& url, const config::Clock& clock) {
-  return std::make_shared<RedisStore>(url, clock);
+std::shared_ptr<StateStore> open_redis(const std::string& url) {
+  return std::make_shared<RedisStore>(url);
 }
 
 }  // namespace iotcloud::topology::internal
