@@ -18,7 +18,7 @@ std::shared_ptr<void> CallLimits::enter(const std::string& identity) {
   Account& of = *of_identity;
   const auto period =
       std::chrono::duration_cast<Clock::Instant::duration>(std::chrono::duration<double>(1 / options_.per_second));
-  const auto ahead = std::chrono::duration_cast<Clock::Instant::duration>(period * (options_.burst - 1));
+  const auto ahead = options_.saved - period;
   const auto now = clock_.now();
   const auto end = now + options_.longest_wait;
   const config::MutexLock lock(of.mutex);
@@ -45,7 +45,7 @@ std::shared_ptr<void> CallLimits::enter(const std::string& identity) {
 CallsByRole usual_calls() {
   using security::Role;
   // Orders wait for their outcome, each on a connection of its own: a server's limit of connections is theirs, too.
-  const CallLimits::Options acting{.at_once = 1'000, .per_second = 1'000, .burst = 2'000};
+  const CallLimits::Options acting{.at_once = 1'000, .per_second = 1'000};
   return {{Role::viewer, {}}, {Role::master, acting}, {Role::operating, acting}, {Role::admin, acting}};
 }
 

@@ -20,7 +20,8 @@ class CallLimits {
   struct Options {
     int at_once = 16;
     double per_second = 100;
-    double burst = 200;  ///< so many may come together after a pause
+    /// After a pause the calls of so much time may come together.
+    std::chrono::seconds saved{2};
     /// The longest time for which a call waits for its turn.
     std::chrono::milliseconds longest_wait{5'000};
   };

@@ -28,15 +28,13 @@ HostAndPort split_address(const std::string& address) {
 
 namespace {
 
-/// Reads how many calls a second each identity of a role may make; twice as many may come together.
+/// Reads how many calls a second each identity of a role may make.
 void read_calls(config::Section& section, CallsByRole& calls) {
   auto rates = section.optional_section("calls_per_second");
   if (!rates) return;
-  for (auto& [role, limits] : calls) {
+  for (auto& [role, limits] : calls)
     limits.per_second =
         static_cast<double>(rates->int_or(to_string(role), static_cast<std::int64_t>(limits.per_second), 1, 1'000'000));
-    limits.burst = 2 * limits.per_second;
-  }
   rates->finish();
 }
 

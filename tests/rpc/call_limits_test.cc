@@ -22,7 +22,7 @@ struct LimitsClock final : config::Clock {
 
 TEST(CallLimits, AFloodOfOneIdentityIsRefusedAndOthersAreAnswered) {
   LimitsClock clock;
-  CallLimits limits({.at_once = 1'000, .per_second = 10, .burst = 20, .longest_wait = milliseconds(0)}, clock);
+  CallLimits limits({.at_once = 1'000, .per_second = 10, .longest_wait = milliseconds(0)}, clock);
   int taken = 0;
   for (int i = 0; i < 100; ++i) taken += limits.enter("vera") ? 1 : 0;
   EXPECT_EQ(taken, 20);
@@ -34,7 +34,7 @@ TEST(CallLimits, AFloodOfOneIdentityIsRefusedAndOthersAreAnswered) {
 }
 
 TEST(CallLimits, SoManyCallsRunAtOnceAndTheNextWaitsForOneToEnd) {
-  CallLimits limits({.at_once = 2, .per_second = 1e6, .burst = 1e6, .longest_wait = tests::patience});
+  CallLimits limits({.at_once = 2, .per_second = 1e6, .longest_wait = tests::patience});
   auto first = limits.enter("vera");
   const auto second = limits.enter("vera");
   std::atomic<bool> entered{false};
@@ -49,7 +49,7 @@ TEST(CallLimits, SoManyCallsRunAtOnceAndTheNextWaitsForOneToEnd) {
 }
 
 TEST(CallLimits, OneWhoseTurnDoesNotComeInTimeIsRefused) {
-  CallLimits limits({.at_once = 1, .per_second = 1e6, .burst = 1e6, .longest_wait = milliseconds(1)});
+  CallLimits limits({.at_once = 1, .per_second = 1e6, .longest_wait = milliseconds(1)});
   const auto first = limits.enter("vera");
   EXPECT_FALSE(limits.enter("vera"));
 }
