@@ -53,11 +53,9 @@ RoleLimits::RoleLimits(const CallsByRole& calls) {
   for (const auto& [role, options] : calls) limits_.try_emplace(role, options);
 }
 
-std::optional<std::shared_ptr<void>> RoleLimits::enter(security::Role role, const std::string& identity) {
+std::shared_ptr<void> RoleLimits::enter(security::Role role, const std::string& identity) {
   const auto limits = limits_.find(role);
-  if (limits == limits_.end()) return std::shared_ptr<void>();
-  if (auto turn = limits->second.enter(identity)) return turn;
-  return std::nullopt;
+  return limits == limits_.end() ? unlimited_ : limits->second.enter(identity);
 }
 
 }  // namespace iotcloud::rpc

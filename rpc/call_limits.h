@@ -3,7 +3,6 @@
 #include <chrono>
 #include <map>
 #include <memory>
-#include <optional>
 #include <string>
 
 #include <iotcloud/config/clock.h>
@@ -61,11 +60,11 @@ CallsByRole usual_calls();
 class RoleLimits {
  public:
   explicit RoleLimits(const CallsByRole& calls = usual_calls());
-  /// As CallLimits::enter(); a role that is not in the list is not limited. \return the object to hold; nullopt: its
-  /// turn would come too late
-  std::optional<std::shared_ptr<void>> enter(security::Role role, const std::string& identity);
+  /// As CallLimits::enter(); a role that is not in the list is not limited.
+  std::shared_ptr<void> enter(security::Role role, const std::string& identity);
 
  private:
+  const std::shared_ptr<void> unlimited_ = std::make_shared<int>();  ///< is held by calls that nothing limits
   std::map<security::Role, CallLimits> limits_;
 };
 

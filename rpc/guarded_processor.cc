@@ -61,8 +61,9 @@ class GuardedProcessor final : public TProcessor {
     std::int32_t number = 0;
     in->readMessageBegin(method, type, number);
     if (type != TMessageType::T_CALL) return false;
-    auto refusal = session_->refuse(method);
-    if (!refusal) refusal = session_->refuse_too_many(method);
+    const auto role = session_->role();
+    auto refusal = session_->refuse(method, role);
+    if (!refusal) refusal = session_->refuse_too_many(method, role);
     if (refusal) {
       in->skip(TType::T_STRUCT);
       in->readMessageEnd();

@@ -96,7 +96,7 @@ void CallerSession::note(std::string outcome) {
   outcome_ = std::move(outcome);
 }
 
-std::optional<CallerSession::Refusal> CallerSession::refuse(const std::string& method) {
+std::optional<CallerSession::Refusal> CallerSession::refuse(const std::string& method, security::Role has) {
   const auto rule = options_.rules.find(method);
   if (rule == options_.rules.end()) {
     count_refusal(options_.service, "method");
@@ -104,7 +104,6 @@ std::optional<CallerSession::Refusal> CallerSession::refuse(const std::string& m
     return Refusal{fmt::format("this service has no method {} for anybody", method), 0, RefusalForm::failure, true};
   }
   const security::Role wanted = rule->second.role;
-  const security::Role has = role();
   if (has == security::Role::master && rule->second.for_master) return std::nullopt;
   if (has >= wanted) return std::nullopt;
   Refusal refusal;
@@ -131,8 +130,8 @@ std::optional<CallerSession::Refusal> CallerSession::refuse(const std::string& m
 }
 
 /// Waits for the turn of a call that the caller may make.
-std::optional<CallerSession::Refusal> CallerSession::refuse_too_many(const std::string& method) {
-  auto turn = options_.limits->enter(role(), caller());
+std::optional<CallerSession::Refusal> CallerSession::refuse_too_many(const std::string& method, security::Role has) {
+  auto turn = options_.limits->enter(has, caller());
   if (!turn) {
     count_refusal(options_.service, "rate");
     options_.refusals->refused("rate", fmt::format("{}: {} of {} is refused: {} makes too many calls", options_.service,
@@ -140,7 +139,7 @@ std::optional<CallerSession::Refusal> CallerSession::refuse_too_many(const std::
     return Refusal{fmt::format("{} makes too many calls; try again later", caller()), options_.not_allowed,
                    options_.rules.at(method).form};
   }
-  if (*turn) peer_->hold(std::move(*turn));
+  peer_->hold(std::move(turn));
   return std::nullopt;
 }
 

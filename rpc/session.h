@@ -87,7 +87,7 @@ class CallerSession {
   };
   /// Whether the caller may call the method of that name; logs and counts a refusal. The guarded processor asks before
   /// every call. A method that takes several kinds of orders asks again, for the kind.
-  std::optional<Refusal> refuse(const std::string& method);
+  std::optional<Refusal> refuse(const std::string& method) { return refuse(method, role()); }
 
  private:
   friend class GuardedProcessor;
@@ -95,7 +95,9 @@ class CallerSession {
   void end();
   std::string caller() const;
   security::AuditEntry entry(const std::string& method) const;
-  std::optional<Refusal> refuse_too_many(const std::string& method);
+  /// \param has the caller's current role
+  std::optional<Refusal> refuse(const std::string& method, security::Role has);
+  std::optional<Refusal> refuse_too_many(const std::string& method, security::Role has);
   void tell_refusal(const std::string& method, const std::string& kind, const std::string& text);
 
   const AccessOptions& options_;
