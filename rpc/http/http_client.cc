@@ -53,7 +53,7 @@ class Asking {
  private:
   using tcp = asio::ip::tcp;
 
-  /// Runs one asynchronous operation until its end or its time-out. \throws boost::system::system_error
+  /// Runs one asynchronous operation until its end or its time-out. \throws HttpError, HttpUnreachable
   template <typename Begin>
   void complete(beast::tcp_stream& stream, Begin&& begin) {
     boost::system::error_code result;
@@ -61,7 +61,8 @@ class Asking {
     begin([&result](boost::system::error_code error, auto&&...) { result = error; });
     io_.restart();
     io_.run();
-    if (result) throw boost::system::system_error(result);
+    if (result == http::error::body_limit) throw HttpError(fmt::format("{}: {}", address_, result.message()));
+    if (result) throw HttpUnreachable(fmt::format("{} does not answer: {}", address_, result.message()));
   }
 
   template <typename Stream>
@@ -80,7 +81,7 @@ class Asking {
     complete(connection, [&](auto done) { http::async_read_header(stream, buffer, response, done); });
     complete(connection, [&](auto done) { http::async_read(stream, buffer, response, done); });
     if (response.get().result() != http::status::ok) {
-      throw HttpError(fmt::format("{}{}: {}", address_, target.substr(0, target.find('?')), response.get().body()));
+      throw HttpRefusal(fmt::format("{}{}: {}", address_, target.substr(0, target.find('?')), response.get().body()));
     }
     return std::move(response.get().body());
   }
@@ -98,7 +99,7 @@ std::string http_get(const std::string& address, const std::string& target, cons
   } catch (const HttpError&) {
     throw;
   } catch (const std::exception& e) {
-    throw HttpUnreachable(fmt::format("{} does not answer: {}", address, e.what()));
+    throw HttpError(fmt::format("{} cannot be asked: {}", address, e.what()));
   }
 }
 

@@ -25,6 +25,7 @@
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/security/certificates.h>
+#include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::rpc {
 namespace {
@@ -400,6 +401,30 @@ TEST_F(GuardedPages, AreAskedForByTlsOnlyWhenTheyAreOnAnotherMachine) {
   const std::string port = server.address().substr(server.address().rfind(':'));
   EXPECT_THROW(http_get("127.0.0.2" + port, "/p", {certificates_.of("operator"), token_}), HttpError)
       << "its certificate is not for this address";
+}
+
+TEST(HttpClient, TellsWhoDoesNotAnswerFromWhatCannotBeReadForAnotherReason) {
+  const HttpServer server(PageSettings{"127.0.0.1:0", {}, ""}, {{"/p", [](const HttpRequest&) {
+                                                                   return HttpAnswer{200, "text/plain", "the page"};
+                                                                 }}});
+  const auto fault = [](const std::string& address, const std::string& target, const HttpReader& reader = {}) {
+    try {
+      return http_get(address, target, reader);
+    } catch (const HttpUnreachable&) {
+      return std::string("unreachable");
+    } catch (const HttpRefusal&) {
+      return std::string("refusal");
+    } catch (const HttpError& e) {
+      return std::string(e.what());
+    }
+  };
+  EXPECT_EQ(fault(server.address(), "/p"), "the page");
+  EXPECT_EQ(fault("127.0.0.1:" + std::to_string(tests::free_port()), "/p"), "unreachable");
+  EXPECT_EQ(fault(server.address(), "/q"), "refusal");
+  EXPECT_THAT(fault(server.address(), "/p", {{}, "", 4}),
+              AllOf(StartsWith(server.address()), HasSubstr("body limit exceeded")));
+  EXPECT_THAT(fault("no-number:1", "/p"), HasSubstr("no-number:1 cannot be asked"));
+  EXPECT_THAT(fault("127.0.0.1:1", "/p", {{"none.pem", "none.pem", "none.key"}, ""}), HasSubstr("none.pem"));
 }
 
 TEST(PageSettings, AreReadWithFileLineAndRemedy) {
