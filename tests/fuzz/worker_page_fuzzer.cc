@@ -24,7 +24,8 @@ IOTCLOUD_FUZZ_TARGET(worker_page, 1'000) {
     worker.http = "127.0.0.1:" + std::to_string(server.port());
   }
   static master::cli::MasterClient nobody({"127.0.0.1:1"}, {}, std::chrono::milliseconds(1));
-  const master::cli::TopologyPages pages(topology, nobody);
+  master::cli::WorkerPages workers(nobody, topology.record.name);
+  const master::cli::TopologyPages pages(topology, workers);
   fuzz::must(pages.problems().size() + pages.workers() == topology.workers.size(), "a page counts, or says why not");
   std::ostringstream out;
   try {

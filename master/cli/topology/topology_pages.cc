@@ -55,10 +55,9 @@ Json parse_page(const std::string& text) {
   });
 }
 
-TopologyPages::TopologyPages(const discovery::TopologyStatus& topology, MasterClient& master)
+TopologyPages::TopologyPages(const discovery::TopologyStatus& topology, WorkerPages& workers)
     : topology_(topology.record.name) {
   if (topology.workers.empty()) problems_.push_back("no worker of topology " + topology_ + " runs");
-  WorkerPages workers(master, topology.record.name);
   for (const auto& worker : topology.workers) {
     try {
       Json page = parse_page(workers.get(worker, "/topology"));

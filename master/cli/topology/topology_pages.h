@@ -7,7 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/discovery/directory.h>
-#include <iotcloud/master/cli/master_client.h>
+#include <iotcloud/master/cli/topology/worker_pages.h>
 
 namespace iotcloud::master::cli {
 
@@ -15,7 +15,7 @@ namespace iotcloud::master::cli {
 class TopologyPages {
  public:
   using Json = nlohmann::ordered_json;
-  TopologyPages(const discovery::TopologyStatus& topology, MasterClient& master);
+  TopologyPages(const discovery::TopologyStatus& topology, WorkerPages& workers);
 
   /// Why a worker's page could not be read, one text for each.
   const std::vector<std::string>& problems() const { return problems_; }

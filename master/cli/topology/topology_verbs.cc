@@ -119,7 +119,8 @@ class Show final : public OfTopology {
   int run(Call& call) override {
     const auto master = call.connect();
     const auto topology = find_topology(name_, *master);
-    const TopologyPages pages(topology, *master);
+    WorkerPages asked(*master, name_);
+    const TopologyPages pages(topology, asked);
     if (call.format == Format::table) {
       print_all(topology, pages, call.out);
     } else {
@@ -216,12 +217,13 @@ class Metrics final : public OfTopology {
 
   int run(Call& call) override {
     const auto master = call.connect();
+    WorkerPages workers(*master, name_);
     if (rates_ && !watch_.on()) {
-      look(*master);
+      look(*master, workers);
       pause(std::chrono::seconds(1));
     }
     return watch_.run(call, [&] {
-      look(*master);
+      look(*master, workers);
       if (call.format == Format::table) {
         print_metrics(call.out, *pages_, metrics_);
       } else if (goes_on() && call.format == Format::json) {
@@ -236,8 +238,8 @@ class Metrics final : public OfTopology {
 
  private:
   /// Asks the workers; from the second time on with what was done a second since the last time.
-  void look(MasterClient& master) {
-    pages_.emplace(find_topology(name_, master), master);
+  void look(MasterClient& master, WorkerPages& workers) {
+    pages_.emplace(find_topology(name_, master), workers);
     const auto now = std::chrono::steady_clock::now();
     auto metrics = pages_->metrics();
     if (!metrics_.is_null()) add_rates(metrics, metrics_, std::chrono::duration<double>(now - at_).count());

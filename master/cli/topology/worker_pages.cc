@@ -11,9 +11,12 @@ std::string WorkerPages::get(const discovery::WorkerRecord& worker, const std::s
     throw Failed(fmt::format("worker {} serves no pages (it runs inside another program)", worker.name));
   }
   if (worker.tls || worker.host != config::host_name()) return master_.worker_page(topology_, worker.name, target);
+  if (const auto known = unreachable_.find(worker.name); known != unreachable_.end())
+    return by_the_master(worker, target, known->second);
   try {
     return rpc::http_get(worker.http, target);  // without a token, which is not for whoever is in the registry
   } catch (const rpc::HttpUnreachable& error) {
+    unreachable_.emplace(worker.name, error.what());
     return by_the_master(worker, target, error.what());
   } catch (const rpc::HttpError& error) {
     throw Failed(fmt::format("worker {}: {}", worker.name, error.what()));

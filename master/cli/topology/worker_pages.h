@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <string>
 
 #include <iotcloud/discovery/records.h>
@@ -7,8 +8,8 @@
 
 namespace iotcloud::master::cli {
 
-/// Reads the pages of a topology's workers: of those on this machine itself; of others, and of those that do not answer
-/// here, by way of a master. Used by one thread.
+/// Reads the pages of a topology's workers: of those on this machine itself; of others, and of those that did not answer
+/// here once, by way of a master. Used by one thread.
 class WorkerPages {
  public:
   /// \param master outlives this object.
@@ -23,6 +24,7 @@ class WorkerPages {
   std::string by_the_master(const discovery::WorkerRecord& worker, const std::string& target, const std::string& why);
   MasterClient& master_;
   const discovery::TopologyName topology_;
+  std::map<std::string, std::string> unreachable_;  ///< by the name of a worker that did not answer here: why
 };
 
 }  // namespace iotcloud::master::cli

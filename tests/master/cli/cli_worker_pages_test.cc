@@ -1,6 +1,7 @@
 // A topology is seen from a machine that does not reach its workers: the master reads their pages.
 #include <atomic>
 #include <fstream>
+#include <mutex>
 #include <optional>
 #include <thread>
 
@@ -10,7 +11,7 @@
 
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/discovery/records.h>
-#include <iotcloud/master/cli/master_client.h>
+#include <iotcloud/master/cli/topology/worker_pages.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/security/tokens.h>
 #include <iotcloud/tests/discovery/id_literals.h>
@@ -210,7 +211,7 @@ class CliOfAWorkerHere : public CliOfAFarWorker {
 };
 
 /// A page that breaks its first connection, as one that not everybody on this machine reaches (from another network
-/// namespace, say), and answers all later ones.
+/// namespace, say), and answers all later ones. Thread safe.
 class PageAtTheSecondTry {
  public:
   explicit PageAtTheSecondTry(std::string text)
@@ -222,27 +223,53 @@ class PageAtTheSecondTry {
     thread_.join();
   }
   std::string address() const { return "127.0.0.1:" + std::to_string(listener_.port()); }
+  /// What was asked for and answered.
+  std::vector<std::string> targets() {
+    const std::lock_guard lock(mutex_);
+    return targets_;
+  }
 
  private:
+  void answer(int client) {
+    std::string request(4096, '\0');
+    const auto size = recv(client, request.data(), request.size(), 0);
+    if (size <= 0) return;
+    {
+      const std::lock_guard lock(mutex_);
+      const auto begin = request.find(' ') + 1;
+      targets_.push_back(request.substr(begin, request.find(' ', begin) - begin));
+    }
+    send(client, answer_.data(), answer_.size(), MSG_NOSIGNAL);
+  }
   void serve() {
     for (bool first = true;; first = false) {
       const int client = listener_.accept();
       if (client < 0) return;
-      std::string request(4096, '\0');
-      if (!first && recv(client, request.data(), request.size(), 0) > 0)
-        send(client, answer_.data(), answer_.size(), MSG_NOSIGNAL);
+      if (!first) answer(client);
       close(client);
     }
   }
   const std::string answer_;
   const iotcloud::tests::LoopbackListener listener_;
-  std::thread thread_;
+  std::mutex mutex_;
+  std::vector<std::string> targets_;  ///< guarded by mutex_
+  std::thread thread_;                ///< last: it uses the others
 };
 
 TEST_F(CliOfAWorkerHere, AsksTheMasterForWhatItDoesNotReachItself) {
   const PageAtTheSecondTry pages(page);
   show_worker_at(pages.address());
   EXPECT_EQ(run_json({"topology", "show", "echo"})["components"][0]["parallelism"], 3);
+}
+
+TEST_F(CliOfAWorkerHere, IsNotTriedAgainOnceItDidNotAnswer) {
+  PageAtTheSecondTry pages(page);
+  show_worker_at(pages.address());
+  cli::MasterClient client({address()}, {}, std::chrono::milliseconds(1000));
+  cli::WorkerPages workers(client, "echo"_topology);
+  for (int look = 0; look < 2; ++look) EXPECT_EQ(workers.get(worker_, "/tap?id=a"), page);
+  // The master looks first whether it is the worker.
+  EXPECT_THAT(pages.targets(), testing::ElementsAre("/topology", "/tap?id=a", "/topology", "/tap?id=a"));
 }
 
 TEST_F(CliOfAWorkerHere, SaysWhyNeitherItNorTheMasterReachesIt) {
