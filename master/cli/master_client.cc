@@ -138,6 +138,23 @@ struct MasterClient::Impl {
                     fmt::join(problems, "; ")));
   }
 
+  /// Connects to the next of the addresses, in turn, that answers. \return false: none but the last one does
+  bool connect_other() {
+    const std::string last = address;
+    auto at = std::find(addresses.begin(), addresses.end(), last);
+    for (std::size_t tried = 0; tried < addresses.size(); ++tried) {
+      at = at == addresses.end() || at + 1 == addresses.end() ? addresses.begin() : at + 1;
+      if (*at == last) continue;
+      try {
+        connect(*at);
+        return true;
+      } catch (const TException&) {
+        continue;  // what the last one has said is told
+      }
+    }
+    return false;
+  }
+
   template <typename Answer, typename... Parameters, typename... Arguments>
   Answer ask(void (Client::*question)(Answer&, Parameters...), const Arguments&... arguments) {
     connect_any();
@@ -187,6 +204,7 @@ struct MasterClient::Impl {
   template <typename Answer, typename... Parameters, typename... Arguments>
   Answer give(milliseconds limit, void (Client::*method)(Answer&, Parameters...), const Arguments&... arguments) {
     const auto patience = std::chrono::steady_clock::now() + election_patience;
+    std::size_t out_of_reach = 0;  ///< masters in a row that named a leader which must not see the token
     connect_any();
     while (true) {
       connection->set_answer_limit(limit);
@@ -208,6 +226,11 @@ struct MasterClient::Impl {
       const auto leader = answer.__isset.leader ? answer.leader : "";
       std::string silence;
       if (!leader.empty() && leader != standby) {
+        if (const auto why = open_way(access, leader); !why.empty()) {
+          // The leader may have another address here: the near end of a tunnel.
+          if (++out_of_reach >= addresses.size() || !connect_other()) throw Failed(why);
+          continue;
+        }
         try {
           connect(leader);
           continue;
@@ -221,6 +244,7 @@ struct MasterClient::Impl {
         throw Unreachable(fmt::format("master {} is on standby and names {} as the leader, which does not answer: {}",
                                       standby, leader, silence));
       }
+      out_of_reach = 0;
       std::this_thread::sleep_for(election_pause);
       if (!client) connect_any();
     }

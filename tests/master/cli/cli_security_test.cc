@@ -69,8 +69,8 @@ class RecordingListener {
   std::jthread thread_;  ///< last: it uses the others
 };
 
-/// A master that keeps the token that it was shown, takes everybody in, and names another one as the leader. Thread
-/// safe.
+/// A master that keeps the token that it was shown, takes everybody in, and names another one as the leader, or leads if
+/// it names none. Thread safe.
 class PlayedMaster final : public wire::TMasterAPIServiceNull {
  public:
   explicit PlayedMaster(std::string leader = "") : leader_(std::move(leader)) {}
@@ -80,6 +80,10 @@ class PlayedMaster final : public wire::TMasterAPIServiceNull {
     answer.__set_state(discovery::wire::TResponseState::SUCCESS);
   }
   void drain(wire::TOrderResponse& answer, const wire::TGatewaySelection&) override {
+    if (leader_.empty()) {
+      answer.response.__set_statusMessage("done");
+      return;
+    }
     answer.__set_refusal(wire::TRefusal::NOT_LEADING);
     answer.__set_leader(leader_);
   }
@@ -289,6 +293,18 @@ TEST_F(CliSecurity, NoTokenIsSentInClearToAnotherMachine) {
       run({"--master", "127.0.0.1:" + std::to_string(standby->port()), "--token-file", token, "drain", "lab1"});
   EXPECT_EQ(sent_on.status, 1);
   EXPECT_THAT(sent_on.err, HasSubstr("is not on this machine"));
+  EXPECT_EQ(far.heard(), "");
+  // It leads at the near end of a tunnel.
+  const auto leader = serve_played(std::make_shared<PlayedMaster>());
+  const auto at = [](const auto& server) { return "127.0.0.1:" + std::to_string(server->port()); };
+  const auto tunnels = at(standby) + ",127.0.0.1:1," + at(leader);
+  const auto taken = run({"--master", tunnels, "--token-file", token, "drain", "lab1"});
+  EXPECT_EQ(taken.status, 0) << taken.err;
+  EXPECT_EQ(far.heard(), "");
+  const auto other = serve_played(std::make_shared<PlayedMaster>(far.at("0.0.0.0")));
+  const auto none = run({"--master", at(standby) + "," + at(other), "--token-file", token, "drain", "lab1"});
+  EXPECT_EQ(none.status, 1);
+  EXPECT_THAT(none.err, HasSubstr("is not on this machine"));
   EXPECT_EQ(far.heard(), "");
   // Without a token there is nothing to hide.
   run({"--master", far.at("0.0.0.0"), "gateways"});
