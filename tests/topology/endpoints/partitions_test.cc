@@ -105,27 +105,32 @@ class KafkaPartitions : public Endpoints {
   std::string topic_of(const std::string& channel) const { return "g.d." + raw(channel); }
   void show(const std::vector<std::string>& channels = {"up"}, const std::string& transport = "kafka",
             discovery::Direction direction = discovery::Direction::out) {
-    for (int i = 0; i < instances; ++i) {
-      for (const auto& name : channels) {
-        discovery::ChannelRecord channel;
-        channel.name = name;
-        channel.transport = transport;
-        channel.direction = direction;
-        channel.properties = {{"topic", raw(name)}};
-        channel.broker_url = broker_url_;
-        channel.gateway = "g"_gateway;
-        channel.driver = "d"_driver;
-        channel.instance = discovery::InstanceId(id(i));
-        channel.shared = true;
-        discovery::put(*registry_, paths_.channel("d"_driver, channel.instance, name), discovery::encode(channel));
-      }
-      discovery::DriverRecord driver;
-      driver.name = "d"_driver;
-      driver.instance = discovery::InstanceId(id(i));
-      driver.gateway = "g"_gateway;
-      driver.state = discovery::DriverState::active;
-      discovery::put(*registry_, paths_.instance("d"_driver, driver.instance), discovery::encode(driver));
+    std::map<std::string, std::string> topics;
+    for (const auto& name : channels) topics[name] = raw(name);
+    for (int i = 0; i < instances; ++i) show_instance(i, topics, transport, direction);
+  }
+  /// \param topics by channel, as in the channel's record
+  void show_instance(int i, const std::map<std::string, std::string>& topics, const std::string& transport = "kafka",
+                     discovery::Direction direction = discovery::Direction::out) {
+    for (const auto& [name, topic] : topics) {
+      discovery::ChannelRecord channel;
+      channel.name = name;
+      channel.transport = transport;
+      channel.direction = direction;
+      channel.properties = {{"topic", topic}};
+      channel.broker_url = broker_url_;
+      channel.gateway = "g"_gateway;
+      channel.driver = "d"_driver;
+      channel.instance = discovery::InstanceId(id(i));
+      channel.shared = true;
+      discovery::put(*registry_, paths_.channel("d"_driver, channel.instance, name), discovery::encode(channel));
     }
+    discovery::DriverRecord driver;
+    driver.name = "d"_driver;
+    driver.instance = discovery::InstanceId(id(i));
+    driver.gateway = "g"_gateway;
+    driver.state = discovery::DriverState::active;
+    discovery::put(*registry_, paths_.instance("d"_driver, driver.instance), discovery::encode(driver));
   }
   static std::string id(int i) { return "i" + std::to_string(i); }
   /// One more message of each instance on each channel.
@@ -306,6 +311,37 @@ TEST_F(KafkaPartitions, OfDifferentNumbersOfADriversChannelsAreRefusedUntilTheyA
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2 * partitions; }));
   EXPECT_THAT(worker.trouble(), IsEmpty());
   EXPECT_THAT(worker.describe(), HasSubstr(R"("troubles":[])"));
+}
+
+TEST_F(KafkaPartitions, OfDifferentNumbersAreToldOfEachInstanceThatHasOthers) {
+  publish_on("up", broker_with(partitions));
+  publish_on("side", broker_with(2));
+  publish_on("aside", broker_with(3));
+  make_topics();
+  show_instance(0, {{"up", raw("up")}, {"side", raw("side")}});
+  show_instance(1, {{"up", raw("up")}, {"side", raw("aside")}});
+  show_instance(2, {{"up", raw("up")}, {"side", raw("aside")}});
+  start("one", 1, {"up", "side"});
+  const Worker& worker = *workers_.back();
+  const auto says = [&](const std::string& who, const std::string& numbers) {
+    const auto text = worker.trouble();
+    const auto told = [&](const std::string& channel) {
+      return text.find("channel " + channel + " of driver d on gateway g is not read: instance " + who +
+                       ": its topics of the channels \"side\" and \"up\" have " + numbers + " partitions") !=
+             std::string::npos;
+    };
+    return told("up") && told("side");
+  };
+  EXPECT_TRUE(eventually([&] { return says("i0", "2 and 4") && says("i1 and 1 other", "3 and 4"); }))
+      << worker.trouble();
+  show_instance(1, {{"up", raw("up")}, {"side", raw("side")}});
+  EXPECT_TRUE(eventually([&] { return says("i0 and 1 other", "2 and 4") && says("i2", "3 and 4"); }))
+      << worker.trouble();
+  add_partitions(topic_of("side"), partitions);
+  EXPECT_TRUE(eventually([&] { return worker.trouble().find("2 and 4") == std::string::npos; })) << worker.trouble();
+  EXPECT_TRUE(says("i2", "3 and 4")) << worker.trouble();
+  add_partitions(topic_of("aside"), partitions);
+  EXPECT_TRUE(eventually([&] { return worker.trouble().empty(); })) << worker.trouble();
 }
 
 TEST_F(KafkaPartitions, OfDifferentNumbersAreNoTroubleOfAChannelThatIsNotReadForAnotherReason) {

@@ -210,9 +210,11 @@ void SpoutPlacement::leave() {
   anew.reset();
   shared_anew.reset();
   plans_ = {};
-  while (!differences_.empty()) {
-    const discovery::GatewayId gateway = differences_.begin()->first;
-    show_difference(gateway, {});
+  differences_.clear();
+  while (!differing_.empty()) {
+    const auto shown = differing_.begin();
+    shown->second.clear();
+    show_difference(Difference(shown->first));
   }
   units_.close();
   if (split_topics_) split_topics_->end();
@@ -277,50 +279,51 @@ discovery::GuardPtr SpoutPlacement::take(discovery::GuardPtr SpoutPlacement::*ti
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
   std::string problem = misfit(channel, discovery::Direction::out, endpoint_.broker);
-  if (!problem.empty()) {
-    forget_difference(channel.gateway);
-  } else if (channel.shared) {
-    problem = split_topics_->difference(channel);
-    if (problem.empty()) {
-      forget_difference(channel.gateway);
-    } else {
-      show_difference(channel.gateway, problem);
-    }
-  }
+  const std::string difference =
+      problem.empty() && channel.shared ? split_topics_->difference(channel) : std::string();
+  set_difference(channel, difference);
+  if (problem.empty()) problem = difference;
   if (problem.empty()) return true;
+  // Once for all of a gateway, which come by the thousand.
   if (complained_.insert(channel.gateway + problem).second) {
-    endpoints_logger.warn("{}: channel {} of driver {} on gateway {} is not read: {}", component_, channel.name,
-                          channel.driver, channel.gateway, problem);
+    endpoints_logger.warn("{}: channel {} of driver {} on gateway {} is not read: instance {}: {}", component_,
+                          channel.name, channel.driver, channel.gateway, channel.instance, problem);
   }
   return false;
 }
 
-/// Shows why this gateway's shared channels are not read, as long as it is so; empty: they are read, or gone.
-void SpoutPlacement::show_difference(const discovery::GatewayId& gateway, const std::string& difference) {
-  const auto shown = differences_.find(gateway);
-  if ((shown == differences_.end() ? std::string() : shown->second) == difference) return;
-  std::string text;
-  if (difference.empty()) {
-    differences_.erase(shown);
-  } else {
-    differences_[gateway] = difference;
-    text = fmt::format("channel {} of driver {} on gateway {} is not read: {}", endpoint_.channel, endpoint_.driver,
-                       gateway, difference);
+/// Shows why this instance's shared channel is not read, as long as it is so; empty: it is read, or gone, or not read
+/// for another reason.
+void SpoutPlacement::set_difference(const discovery::ChannelRecord& channel, const std::string& text) {
+  const Difference now(channel.gateway, text);
+  const auto known = differences_.find(channel.instance);
+  if (known == differences_.end() ? text.empty() : known->second == now) return;
+  if (known != differences_.end()) {
+    const Difference before = known->second;
+    differences_.erase(known);
+    differing_[before].erase(channel.instance);
+    show_difference(before);
   }
-  services_->troubles->set(component_, "partitions of " + gateway.str(), text);
+  if (text.empty()) return;
+  differences_.emplace(channel.instance, now);
+  differing_[now].insert(channel.instance);
+  show_difference(now);
 }
 
-/// A channel of this gateway agrees, is gone, or cannot be read for another reason: is there another one that differs?
-void SpoutPlacement::forget_difference(const discovery::GatewayId& gateway) {
-  if (!differences_.contains(gateway)) return;
-  for (const auto& [instance, channel] : channels_) {
-    if (!channel.shared || channel.gateway != gateway) continue;
-    if (!misfit(channel, discovery::Direction::out, endpoint_.broker).empty()) continue;
-    if (const std::string other = split_topics_->difference(channel); !other.empty()) {
-      return show_difference(gateway, other);
-    }
+/// Shows how many instances have the difference.
+void SpoutPlacement::show_difference(const Difference& difference) {
+  const auto found = differing_.find(difference);
+  const auto& [gateway, why] = difference;
+  std::string text;
+  if (found->second.empty()) {
+    differing_.erase(found);
+  } else {
+    const auto others = found->second.size() - 1;
+    text = fmt::format("channel {} of driver {} on gateway {} is not read: instance {}{}: {}", endpoint_.channel,
+                       endpoint_.driver, gateway, *found->second.begin(),
+                       others == 0 ? "" : fmt::format(" and {} other{}", others, others == 1 ? "" : "s"), why);
   }
-  show_difference(gateway, {});
+  services_->troubles->set(component_, "partitions of " + gateway + ": " + why, text);
 }
 
 void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
@@ -331,10 +334,6 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
     const bool same_topic = before.gateway == channel.gateway && key_of(before) == key_of(channel);
     if (!(channel.shared && readable && same_topic)) follow_no_more(before);
     if (unit_of(before) != unit_of(channel)) displace(before, 0, SpoutUnits::End::at_once);
-    if (before.gateway != channel.gateway || !channel.shared) {
-      channels_.erase(known);
-      forget_difference(before.gateway);
-    }
   }
   warned_of_missing_ = false;
   others_.clear();
@@ -348,7 +347,7 @@ void SpoutPlacement::on_channel_gone(const discovery::ChannelRecord& channel) {
   channels_.erase(channel.instance);
   displace(channel, 0, SpoutUnits::End::when_silent);
   follow_no_more(channel);
-  forget_difference(channel.gateway);
+  set_difference(channel, {});
 }
 
 /// Removes the queue of an undeployed instance's own channel, once it has been read to its end. The queue of a stopped

@@ -55,6 +55,8 @@ class SpoutPlacement {
 
  private:
   struct Search;  ///< all that tells what to read: session, reading group, drivers, fence
+  /// The gateway of an instance whose shared channel is not read, and why.
+  using Difference = std::pair<discovery::GatewayId, std::string>;
 
   /// Runs a callback of the registry, unless leave() was called. No lock is held meanwhile: the callback opens and
   /// closes readers, which may take long, and nobody but leave() waits for it.
@@ -105,9 +107,8 @@ class SpoutPlacement {
   void on_lost(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void on_session(discovery::SessionState state) IOTCLOUD_REQUIRES(dispatcher_);
   bool fits(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
-  void forget_difference(const discovery::GatewayId& gateway) IOTCLOUD_REQUIRES(dispatcher_);
-  void show_difference(const discovery::GatewayId& gateway, const std::string& difference)
-      IOTCLOUD_REQUIRES(dispatcher_);
+  void set_difference(const discovery::ChannelRecord& channel, const std::string& text) IOTCLOUD_REQUIRES(dispatcher_);
+  void show_difference(const Difference& difference) IOTCLOUD_REQUIRES(dispatcher_);
   discovery::GuardPtr run_for_leader(const std::string& unit);
   std::shared_ptr<TopicReader> open_reader(const discovery::ChannelRecord& channel, const UnitReaders::Key& key,
                                            std::optional<std::int32_t> partition, int task)
@@ -163,8 +164,9 @@ class SpoutPlacement {
   /// Instances whose record was not read in this session. When it is not there, the registry may have lost its data.
   std::set<discovery::InstanceId> unconfirmed_ IOTCLOUD_GUARDED_BY(dispatcher_);
   std::set<std::string> complained_ IOTCLOUD_GUARDED_BY(dispatcher_);
-  /// By gateway: why its shared channels are not read, as the troubles have it.
-  std::map<discovery::GatewayId, std::string> differences_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  std::map<discovery::InstanceId, Difference> differences_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  /// The instances of differences_, as the troubles name them: mostly all of a gateway have the same difference.
+  std::map<Difference, std::set<discovery::InstanceId>> differing_ IOTCLOUD_GUARDED_BY(dispatcher_);
   Plans plans_ IOTCLOUD_GUARDED_BY(dispatcher_);
   /// Outgoing channels of instances that do not have the wanted one; the plan `missing` calls warn_of_missing().
   std::set<std::string> others_ IOTCLOUD_GUARDED_BY(dispatcher_);
