@@ -104,7 +104,11 @@ void OrderFeed::read_orders(Reading reading) {
     logger.error("the orders are not followed until it can be written what was followed: {}", e.what());
     return read_refused_later();
   }
-  // Without a connection the next one calls this again.
+  read_when_answered();
+}
+
+/// Reads the orders a little later. Without a connection, the next one does.
+void OrderFeed::read_when_answered() {
   if (registry_.session() != discovery::SessionState::connected || std::exchange(retrying_, true)) return;
   loop_.start_timer(look_pause, std::chrono::microseconds{0}, [this] {
     retrying_ = false;
@@ -123,6 +127,7 @@ void OrderFeed::follow_all(const Found& found) {
   const bool of_older_lead = std::exchange(of_older_lead_, std::nullopt).has_value();
   if (adopted || other || of_older_lead) {
     handled_.clear();
+    unjudged_.clear();
     epoch_ = answer ? answer->epoch : 0;  // a registry that was emptied or restored counts epochs anew
   }
   Instances names = found.names();
@@ -136,7 +141,9 @@ void OrderFeed::follow_all(const Found& found) {
   if (!gone_.empty()) read_again_soon();
   for (const auto& [name, node] : found.orders) {
     if (!node || is_handled(name, *node)) continue;
-    initial_.insert(name);
+    const auto unjudged = unjudged_.find(name);
+    if (unjudged == unjudged_.end() || unjudged->second != std::pair(node->created, node->version))
+      initial_.insert(name);
     take(name, *node);
   }
   follow_due();
@@ -379,6 +386,7 @@ void OrderFeed::follow_names(const Instances& names) {
     const discovery::InstanceId instance = it->first;
     it = order_watches_.erase(it);
     handled_.erase(instance);
+    unjudged_.erase(instance);
     forget_refusal(instance);
     gone.insert(instance);
     listener_.on_gone(instance);
@@ -476,6 +484,11 @@ void OrderFeed::take(const discovery::InstanceId& instance, const discovery::Nod
   try {
     read(instance, node);
     handled_[instance] = {node.created, node.version};
+    unjudged_.erase(instance);
+  } catch (const discovery::RegistryError& e) {
+    logger.warn("the order for {} is read again: whether its master leads is not known yet: {}", instance, e.what());
+    unjudged_[instance] = {node.created, node.version};
+    read_when_answered();
   } catch (const std::exception& e) {
     logger.error("an order is ignored: {}", e.what());
   }
@@ -501,6 +514,7 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
   }
   const bool stood_before = initial_.erase(instance) > 0;
   if (order.epoch < epoch_ && !stood_before) {
+    if (of_older_lead_) return;  // all orders are about to be read again
     if (leads_now(order.epoch)) {
       of_older_lead_ = instance;
       loop_.post([this] { read_orders(); });
@@ -518,17 +532,12 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
 
 /// Whether the registry has the node by which a master with this epoch stands for election. That of a master which lost
 /// the lead went before the next one led, so of two epochs that a gateway has seen in one state of the registry, the
-/// older one's is gone.
+/// older one's is gone. \throws discovery::RegistryError
 bool OrderFeed::leads_now(std::int64_t epoch) const {
-  try {
-    auto standing = registry_.children(paths_.masters()).value_or(std::vector<std::string>());
-    for (auto& name : standing) name = paths_.masters() + "/" + name;
-    const auto nodes = registry_.get_all(standing);
-    return std::any_of(nodes.begin(), nodes.end(), [&](const auto& node) { return node && node->created == epoch; });
-  } catch (const discovery::RegistryError& e) {
-    logger.debug("whether the master with epoch {} leads is not known: {}", epoch, e.what());
-    return false;
-  }
+  auto standing = registry_.children(paths_.masters()).value_or(std::vector<std::string>());
+  for (auto& name : standing) name = paths_.masters() + "/" + name;
+  const auto nodes = registry_.get_all(standing);
+  return std::any_of(nodes.begin(), nodes.end(), [&](const auto& node) { return node && node->created == epoch; });
 }
 
 FollowedOrder OrderFeed::followed(const discovery::InstanceId& instance, std::int64_t given_ms) const {

@@ -94,6 +94,7 @@ class OrderFeed {
     bool lasting = false;  ///< see FreezeRecord
   };
   void read_orders(Reading reading);
+  void read_when_answered();
   Found read_registry(Reading reading);
   bool nothing_to_lose() const;
   std::optional<Objection> objection(const Found& found) const;
@@ -149,6 +150,8 @@ class OrderFeed {
   std::map<discovery::InstanceId, discovery::GuardPtr> unproven_;
   std::map<discovery::InstanceId, std::pair<std::int64_t, std::int64_t>>
       handled_;  ///< for each order that was read, the creation id and version of its node
+  /// The same of orders that could not be judged, because the registry did not say who leads.
+  std::map<discovery::InstanceId, std::pair<std::int64_t, std::int64_t>> unjudged_;
   std::optional<discovery::InstanceId> of_older_lead_;  ///< whose order says that the registry was put back
   std::optional<std::int64_t> followed_;  ///< creation id of the node whose orders are followed; nullopt: none yet
   std::map<discovery::InstanceId, config::Clock::Instant> gone_;  ///< the orders that are just_gone(), and since when

@@ -33,6 +33,8 @@ class ToldRegistry final : public discovery::Registry {
   std::map<std::string, std::function<void(const std::optional<Node>&)>> tell_node;  ///< by path
   std::function<void(SessionState)> tell_session;
   std::function<void()> before_names;  ///< called once, before names are read
+  std::string unanswered;              ///< the names below this path cannot be read
+  std::map<std::string, int> read;     ///< how often names below a path were read
 
   std::optional<Node> get(const std::string& path) override {
     const auto found = nodes.find(path);
@@ -40,6 +42,8 @@ class ToldRegistry final : public discovery::Registry {
   }
   std::optional<Names> children(const std::string& path) override {
     if (const auto call = std::exchange(before_names, nullptr)) call();
+    ++read[path];
+    if (path == unanswered) throw discovery::RegistryError(discovery::RegistryErrorCode::away, path);
     Names names;
     for (const auto& [child, node] : nodes) {
       if (child.starts_with(path + "/")) names.push_back(child.substr(path.size() + 1));
@@ -436,6 +440,29 @@ TEST_F(FeedOfOlderLeaders, IsFrozenByAnOrderOfAMasterThatLeads) {
   adopt(999);
   EXPECT_THAT(heard_soon(), ElementsAre("order a", "order b"));
   EXPECT_EQ(feed_.frozen(), "");
+}
+
+TEST_F(FeedOfOlderLeaders, AsksAgainWhoLeadsWhenTheRegistryDidNotAnswer) {
+  stands_for_election(999);
+  on_loop([this] { registry_.unanswered = paths_.masters(); });
+  give_later("b", 999);
+  EXPECT_THAT(heard(), ElementsAre());
+  EXPECT_EQ(feed_.frozen(), "");
+  EXPECT_EQ(heard_after(0ms), Names()) << "it is not known yet either when all orders are read";
+  on_loop([this] { registry_.unanswered.clear(); });
+  EXPECT_THAT(heard_soon(), ElementsAre("frozen"));
+  EXPECT_THAT(feed_.frozen(), testing::HasSubstr("put back to an earlier state: the order of b"));
+}
+
+TEST_F(FeedOfOlderLeaders, AsksOnceWhoLeadsForManyOrders) {
+  stands_for_election(999);
+  for (const char* more : {"b", "c", "d"}) give(more, 999);
+  registry_.tell_names(Names{"a", "b", "c", "d"});
+  on_loop([this] {  // in one go, so that all are told before the orders are read again
+    for (const char* more : {"b", "c", "d"}) registry_.tell_node.at(path(more))(registry_.nodes.at(path(more)));
+  });
+  EXPECT_THAT(heard_soon(), ElementsAre("frozen"));
+  EXPECT_EQ(registry_.read[paths_.masters()], 1);
 }
 
 TEST_F(FeedOfOlderLeaders, FollowsAMasterThatLeadsWhenThereIsNothingToLose) {
