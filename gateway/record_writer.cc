@@ -1,3 +1,5 @@
+#include <utility>
+
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/gateway/record_writer.h>
 
@@ -33,7 +35,7 @@ void RecordWriter::resume() {
 void RecordWriter::found(const discovery::DriverName& driver, const discovery::InstanceId& instance) {
   Entry& entry = entries_[instance];
   entry.under.insert(driver);
-  if (entry.wanted && entry.wanted->name != driver) entry.dirty = true;
+  if (entry.wanted && entry.wanted->name != driver) entry.stale = true;
 }
 
 bool RecordWriter::has_written(const discovery::InstanceId& instance) const {
@@ -61,28 +63,34 @@ void RecordWriter::restore() {
 
 void RecordWriter::put(const discovery::DriverRecord& record) {
   auto& entry = entries_[record.instance];
-  if (entry.wanted && entry.wanted->name != record.name) {  // now the plugin's own name is known
-    entry.channels.reset();
-    entry.shown.reset();
-  }
   entry.under.insert(record.name);
-  entry.wanted = record;
-  entry.dirty = true;
+  want(entry, record);
   write(record.instance, entry);
 }
 
 void RecordWriter::erase(const discovery::DriverName& driver, const discovery::InstanceId& instance) {
   auto& entry = entries_[instance];
   entry.under.insert(driver);
-  entry.wanted.reset();
-  entry.dirty = true;
+  want(entry, std::nullopt);
   if (write(instance, entry)) entries_.erase(instance);
+}
+
+/// What is known of the channels belongs to the record's path: with another driver's name it is void.
+void RecordWriter::want(Entry& entry, std::optional<discovery::DriverRecord> record) {
+  if (!record || !entry.wanted || entry.wanted->name != record->name) {
+    entry.channels.reset();
+    entry.shown.reset();
+  }
+  entry.wanted = std::move(record);
+  entry.dirty = entry.wanted.has_value();
+  entry.stale = true;
 }
 
 bool RecordWriter::flush() {
   bool all = true;
   for (auto it = entries_.begin(); it != entries_.end();) {
-    all = (!it->second.dirty || write(it->first, it->second)) && all;
+    const bool settled = !it->second.dirty && !it->second.stale;
+    all = (settled || write(it->first, it->second)) && all;
     it = it->second.under.empty() ? entries_.erase(it) : std::next(it);
   }
   return all;
@@ -91,17 +99,24 @@ bool RecordWriter::flush() {
 bool RecordWriter::write(const discovery::InstanceId& instance, Entry& entry) {
   if (paused_ || closed_ || registry_.session() != discovery::SessionState::connected) return false;
   try {
-    remove_unwanted(instance, entry);
-    if (entry.wanted) write_record(*entry.wanted, entry);
-    entry.dirty = false;
-    entry.written = true;
+    if (entry.dirty) {
+      write_record(*entry.wanted, entry);
+      entry.dirty = false;
+      entry.written = true;
+    }
+    if (entry.stale) {
+      remove_unwanted(instance, entry);
+      entry.stale = false;
+    }
     told_away_ = false;
     return true;
   } catch (const RegistryError& e) {
     if (!told_away_) logger.warn("the state of {} is not in the registry yet: {}", instance, e.what());
     told_away_ = true;
-    entry.channels.reset();  // it is not known which channels were written
-    entry.shown.reset();
+    if (entry.dirty) {  // it is not known which channels were written
+      entry.channels.reset();
+      entry.shown.reset();
+    }
     return false;
   }
 }

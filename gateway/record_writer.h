@@ -13,7 +13,8 @@ namespace iotcloud::gateway {
 
 /// Writes one gateway's driver and channel records to the registry. While the registry is unreachable it keeps the
 /// latest record of each instance, which flush() writes later. A record that says `active` always has its channels:
-/// they are written before the record says `active`, and removed after it says otherwise. Used on one thread.
+/// they are written before the record says `active`, and removed after it says otherwise. When the driver's name
+/// becomes known, the record under the former name goes after the new one is there. Used on one thread.
 ///
 /// The records of this gateway in the registry show whether it is the registry that this gateway wrote to. So the
 /// writer is paused, from the beginning and whenever the connection is lost, until the owner has looked at them.
@@ -50,9 +51,11 @@ class RecordWriter {
     std::optional<std::set<std::string>> channels;  ///< names of the channels in the registry; nullopt: not known yet
     /// The channels as last written for an `active` record; nullopt: they must be written.
     std::optional<std::vector<discovery::ChannelRecord>> shown;
-    bool dirty = false;
+    bool dirty = false;    ///< the wanted record is to be written
+    bool stale = false;    ///< records under other drivers' names are to be removed
     bool written = false;  ///< the registry had it once
   };
+  void want(Entry& entry, std::optional<discovery::DriverRecord> record);
   bool write(const discovery::InstanceId& instance, Entry& entry);
   void remove_unwanted(const discovery::InstanceId& instance, Entry& entry);
   void write_record(const discovery::DriverRecord& record, Entry& entry);

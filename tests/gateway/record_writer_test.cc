@@ -85,6 +85,35 @@ TEST_F(RecordWriterTest, ARecordUnderTheFormerNameThatCouldNotBeRemovedIsRemoved
   EXPECT_THAT(names(), ElementsAre("driver"));
 }
 
+TEST_F(RecordWriterTest, ARecordUnderTheFormerNameThatCannotBeRemovedDoesNotKeepTheNewOneAway) {
+  writer_.resume();
+  writer_.put(record("plugin"));
+  registry_.refusing = true;
+  writer_.put(record("driver"));
+  EXPECT_THAT(names(), ElementsAre("driver", "plugin"));
+  const auto version = [&] { return registry_.get(paths_.instance("driver"_driver, "a"_instance))->version; };
+  const auto before = version();
+  EXPECT_FALSE(writer_.flush());
+  EXPECT_EQ(version(), before) << "only the removal is tried again";
+}
+
+TEST_F(RecordWriterTest, AnInstanceThatComesBackUnderAnotherNameBeforeAnythingIsWrittenHasItsChannels) {
+  const auto active = [](const std::string& driver) {
+    auto with_channel = record(driver);
+    with_channel.state = discovery::DriverState::active;
+    with_channel.channels.emplace_back().name = "data";
+    return with_channel;
+  };
+  writer_.resume();
+  writer_.put(active("plugin"));
+  writer_.pause();
+  writer_.erase("plugin"_driver, "a"_instance);
+  writer_.put(active("driver"));
+  writer_.resume();
+  EXPECT_THAT(names(), ElementsAre("driver"));
+  EXPECT_TRUE(registry_.get(paths_.channel("driver"_driver, "a"_instance, "data")));
+}
+
 TEST_F(RecordWriterTest, ARecordOfTheProcessBeforeGoesWithTheInstance) {
   discovery::put(registry_, paths_.instance("plugin"_driver, "a"_instance), encode(record("plugin")));
   writer_.put(record("driver"));
