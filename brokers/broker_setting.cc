@@ -6,19 +6,11 @@
 namespace iotcloud::brokers {
 namespace {
 
-std::string file_of(config::Section& section, const std::string& key) {
-  std::string file = section.string_or(key, "");
-  if (!file.empty() && !std::filesystem::exists(file)) {
-    section.refuse(key, "the file \"" + file + "\" is not there", "make it, or name another");
-  }
-  return file;
-}
-
 Tls read_tls(config::Section section) {
   Tls tls;
-  tls.ca_file = file_of(section, "ca");
-  tls.certificate_file = file_of(section, "certificate");
-  tls.key_file = file_of(section, "key");
+  tls.ca_file = section.string_or("ca", "");
+  tls.certificate_file = section.string_or("certificate", "");
+  tls.key_file = section.string_or("key", "");
   if (tls.certificate_file.empty() != tls.key_file.empty()) {
     section.refuse("", "a client certificate needs both \"certificate\" and \"key\"", "give both, or none");
   }
@@ -40,7 +32,7 @@ BrokerOptions read_broker_options(config::Section& section, std::chrono::millise
     }
   }
   options.user = section.string_or("user", "");
-  options.password_file = file_of(section, "password_file");
+  options.password_file = section.string_or("password_file", "");
   options.password_variable = section.string_or("password_variable", "");
   if (!options.password_file.empty() && !options.password_variable.empty()) {
     section.refuse("password_variable", "the password is in \"password_file\" already", "remove one of the two");
@@ -56,7 +48,22 @@ BrokerOptions read_broker_options(config::Section& section, std::chrono::millise
                    "leave it out, or lengthen registry.session_timeout");
   }
   options.properties = section.string_map("properties");
+  for (const auto& [key, file] : files_of(options)) {
+    if (std::filesystem::exists(file)) continue;
+    section.refuse(key, "the file \"" + file + "\" is not there", "make it, or name another");
+  }
   return options;
+}
+
+std::map<std::string, std::string> files_of(const BrokerOptions& options) {
+  std::map<std::string, std::string> files = {{"password_file", options.password_file},
+                                              {"tls.ca", options.tls.ca_file},
+                                              {"tls.certificate", options.tls.certificate_file},
+                                              {"tls.key", options.tls.key_file}};
+  const auto of_reader = options.properties.find("reader_password_file");
+  if (of_reader != options.properties.end()) files["properties.reader_password_file"] = of_reader->second;
+  std::erase_if(files, [](const auto& named) { return named.second.empty(); });
+  return files;
 }
 
 bool are_credentials_given(const BrokerOptions& options) {

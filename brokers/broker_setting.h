@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <map>
 #include <string>
 
 #include <iotcloud/brokers/broker.h>
@@ -22,6 +23,10 @@ struct BrokerSetting {
 /// so the heartbeat is at most half of it.
 /// \throws config::ConfigError for impossible values, with file, line and remedy.
 BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout);
+
+/// The files that the broker's client reads, by their keys in the section: passwords, that of RabbitMQ's user for
+/// reading too, certificates and the key. read_broker_options() has found them all.
+std::map<std::string, std::string> files_of(const BrokerOptions& options);
 
 /// Whether the options hold something that only the intended broker may get (a user, the place of a password, a client
 /// certificate), or an authority by which that broker proves itself. Such options must not be used with an address that

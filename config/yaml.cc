@@ -172,6 +172,18 @@ YAML::Node lookup(const YAML::Node& node, const std::string& key) {
   return value;
 }
 
+/// The node of the key itself, for its place. \param key of the mapping, or after dots of one below it
+YAML::Node key_node(const YAML::Node& mapping, const std::string& key) {
+  for (const auto& entry : mapping) {
+    if (entry.first.Scalar() == key) return entry.first;
+  }
+  const std::size_t dot = key.find('.');
+  if (dot == std::string::npos) return YAML::Node(YAML::NodeType::Undefined);
+  const YAML::Node below = lookup(mapping, key.substr(0, dot));
+  if (!below.IsMap()) return YAML::Node(YAML::NodeType::Undefined);
+  return key_node(below, key.substr(dot + 1));
+}
+
 }  // namespace
 
 Section Section::load_file(const std::string& path) {
@@ -246,12 +258,8 @@ bool Section::has(const std::string& key) const {
 }
 
 Location Section::where(const std::string& key) const {
-  if (!key.empty()) {
-    for (const auto& entry : impl_->node) {
-      if (entry.first.Scalar() == key) return location(impl_->document->file, entry.first.Mark());
-    }
-  }
-  return location(impl_->document->file, impl_->node.Mark());
+  const YAML::Node found = key.empty() ? YAML::Node(YAML::NodeType::Undefined) : key_node(impl_->node, key);
+  return location(impl_->document->file, found.IsDefined() ? found.Mark() : impl_->node.Mark());
 }
 
 const std::string& Section::path() const {

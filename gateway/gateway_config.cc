@@ -199,16 +199,10 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
   read_ports(file, hosts);
   hosts.environment = file.strings_or("host_environment", {});
   for (const auto& broker : config.gateway.brokers) {
-    const auto& broker_options = broker.options;
-    if (!broker_options.password_variable.empty()) hosts.environment.push_back(broker_options.password_variable);
+    const auto& variable = broker.options.password_variable;
+    if (!variable.empty()) hosts.environment.push_back(variable);
     if (!hosts.confinement.files) continue;
-    for (const auto& path : {broker_options.password_file, broker_options.tls.ca_file,
-                             broker_options.tls.certificate_file, broker_options.tls.key_file}) {
-      if (!path.empty()) hosts.confinement.files->read.push_back(path);
-    }
-    const auto& properties = broker_options.properties;
-    if (const auto file_of_reader = properties.find("reader_password_file"); file_of_reader != properties.end())
-      hosts.confinement.files->read.push_back(file_of_reader->second);
+    for (const auto& [key, path] : brokers::files_of(broker.options)) hosts.confinement.files->read.push_back(path);
   }
   if (auto log = file.optional_section("host_log")) {
     constexpr int most_kept = 1000;

@@ -31,7 +31,7 @@ int read_number(const std::string& name, const std::string& text, int fewest, in
 }  // namespace
 
 Cluster::Cluster(const BrokerOptions& options, std::vector<BrokerUrl> urls)
-    : options_(options), of_readers_(options), urls_(std::move(urls)) {
+    : options_(options), of_readers_(reader_options(options)), urls_(std::move(urls)) {
   for (const std::string& url : options.urls) names_.push_back(printable_url(url));
   for (const auto& [name, value] : options.properties) {
     if (name == "queue_type") {
@@ -40,20 +40,24 @@ Cluster::Cluster(const BrokerOptions& options, std::vector<BrokerUrl> urls)
       channels_ = read_number(name, value, fewest_channels, most_channels);
     } else if (name == "confirm_timeout_ms") {
       confirm_timeout_ = std::chrono::milliseconds(read_number(name, value, shortest_timeout_ms, longest_timeout_ms));
-    } else if (name == "reader") {
-      of_readers_.user = value;
-    } else if (name == "reader_password_file") {
-      of_readers_.password_file = value;
-      of_readers_.password_variable.clear();
-    } else if (name != "exchange") {  // which gateways give to their channels
+    } else if (name != "exchange" && name != "reader" && name != "reader_password_file") {
       throw config::Error(
           fmt::format("RabbitMQ knows no property \"{}\"; there are: channels_per_connection, confirm_timeout_ms, "
                       "exchange, queue_type, reader, reader_password_file",
                       name));
     }
   }
-  if (options.properties.contains("reader") != options.properties.contains("reader_password_file"))
+}
+
+BrokerOptions Cluster::reader_options(BrokerOptions options) {
+  const auto reader = options.properties.find("reader"), file = options.properties.find("reader_password_file");
+  if ((reader == options.properties.end()) != (file == options.properties.end()))
     throw config::Error("RabbitMQ's properties reader and reader_password_file go together; one of the two is missing");
+  if (reader == options.properties.end()) return options;
+  options.user = reader->second;
+  options.password_file = file->second;
+  options.password_variable.clear();
+  return options;
 }
 
 std::unique_ptr<AmqpLink> Cluster::connect(std::size_t server, const char* purpose, Login login) const {

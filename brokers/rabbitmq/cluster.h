@@ -36,8 +36,10 @@ class Cluster {
   int channels() const { return channels_; }
 
  private:
+  static BrokerOptions reader_options(BrokerOptions options);
+
   const BrokerOptions options_;
-  BrokerOptions of_readers_;
+  const BrokerOptions of_readers_;  ///< with the user for reading; without one as options_
   const std::vector<BrokerUrl> urls_;
   std::vector<std::string> names_;
   QueueType queue_type_ = QueueType::classic;

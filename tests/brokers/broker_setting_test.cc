@@ -12,6 +12,7 @@
 namespace iotcloud::brokers {
 namespace {
 
+using testing::AllOf;
 using testing::HasSubstr;
 using namespace std::chrono_literals;
 
@@ -69,9 +70,23 @@ TEST(BrokerSetting, SaysWhatIsWrongAndWhere) {
   EXPECT_THAT(error_of("urls: [\"mqtt://a\"]"), HasSubstr("broker.yaml:1"));
   EXPECT_THAT(error_of("urls: [\"mqtt://a\"]"), HasSubstr("mqtt"));
   EXPECT_THAT(error_of("password_file: /none/such"), HasSubstr("/none/such"));
+  EXPECT_THAT(error_of("user: u\ntls:\n  ca: /none/such"),
+              AllOf(HasSubstr("broker.yaml:3"), HasSubstr("tls.ca"), HasSubstr("/none/such")));
+  EXPECT_THAT(error_of("user: u\nproperties:\n  reader: r\n  reader_password_file: /none/such"),
+              AllOf(HasSubstr("broker.yaml:4"), HasSubstr("reader_password_file"), HasSubstr("/none/such")));
   const File file("x");
   EXPECT_THAT(error_of("tls: {certificate: " + file.path() + "}"), HasSubstr("key"));
   EXPECT_THAT(error_of("password_variable: P\npassword_file: " + file.path()), HasSubstr("remove one"));
+}
+
+TEST(BrokerSetting, NamesTheFilesThatItsClientReads) {
+  EXPECT_TRUE(files_of(read("user: u")).empty());
+  const File file("x");
+  const auto options = read("password_file: " + file.path() + "\ntls: {ca: " + file.path() +
+                            "}\nproperties: {reader: r, reader_password_file: " + file.path() + "}\n");
+  const std::map<std::string, std::string> expected = {
+      {"password_file", file.path()}, {"tls.ca", file.path()}, {"properties.reader_password_file", file.path()}};
+  EXPECT_EQ(files_of(options), expected);
 }
 
 TEST(Credentials, GoFromTheFileOrTheEnvironmentBeforeTheUrl) {
@@ -118,6 +133,20 @@ TEST(BrokerAddress, BeginsWithTheServerThatIsPreferredAndTakesNothingElseFromIts
   EXPECT_EQ(preferring("amqp://three:5672/").front(), "amqps://three/");
   for (const std::string other : {"amqp://thief:5671/", "amqp://two:1/", "nonsense", ""})
     EXPECT_EQ(preferring(other).front(), "amqps://u:p@one:5671/");
+}
+
+TEST(MakeBroker, RefusesAReaderOfRabbitMqWithoutAPasswordAndAPasswordWithoutAReader) {
+  BrokerOptions options;
+  options.urls = {"amqp://host/"};
+  for (const char* alone : {"reader", "reader_password_file"}) {
+    options.properties = {{alone, "x"}};
+    try {
+      static_cast<void>(make_broker(options));
+      FAIL() << alone;
+    } catch (const config::Error& error) {
+      EXPECT_THAT(error.what(), HasSubstr("go together"));
+    }
+  }
 }
 
 TEST(MakeBroker, RefusesServersOfSeveralKinds) {

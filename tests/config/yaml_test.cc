@@ -227,6 +227,13 @@ TEST(Yaml, reads_texts_and_mappings_of_one_sequence) {
   EXPECT_THAT(message_of([&] { static_cast<void>(section.require_items("none")); }), HasSubstr("\"none\" is missing"));
 }
 
+TEST(Yaml, finds_a_key_of_a_mapping_below_by_its_path) {
+  const auto section = Section::parse("user: u\ntls:\n  ca: x\n  key: y\ntls.key: z\n", "t.yaml");
+  EXPECT_EQ(section.where("tls.ca").line, 3);
+  EXPECT_EQ(section.where("tls.key").line, 5) << "the key that is written so";
+  for (const char* missing : {"tls.none", "user.none", "none.ca", ""}) EXPECT_EQ(section.where(missing).line, 1);
+}
+
 TEST(Yaml, finds_a_character_of_a_value_in_the_file_however_it_is_written) {
   const auto place = [](const std::string& text) {
     const auto section = Section::parse(text, "t.yaml");
