@@ -118,6 +118,7 @@ void apply_overrides(const drivers::PropertyMap& properties, std::vector<Channel
     const auto spec = std::find_if(specs.begin(), specs.end(), [&](const auto& s) { return s.name == channel; });
     if (spec == specs.end()) {
       std::vector<std::string> names;
+      names.reserve(specs.size());
       for (const auto& s : specs) names.push_back(s.name);
       throw config::Error(fmt::format("property \"{}\": the driver has no channel \"{}\"; it has {}", property, channel,
                                       fmt::join(names, ", ")));
@@ -141,6 +142,7 @@ const BrokerPlan& broker_of(const ChannelSpec& spec, const std::vector<BrokerPla
     if (broker.name == spec.broker) return broker;
   }
   std::vector<std::string> names;
+  names.reserve(brokers.size());
   for (const auto& broker : brokers) names.push_back(broker.name);
   throw config::Error(fmt::format("channel \"{}\" wants the broker \"{}\"; this gateway has {}", spec.name, spec.broker,
                                   fmt::join(names, ", ")));
@@ -156,6 +158,17 @@ void check_raw(const discovery::ChannelRecord& record) {
         "the channel's property \"{}\" is \"{}\"; readers put \"{}\" before it themselves, so leave that out", property,
         found->second, beginning));
   }
+}
+
+/// Where gateways share an exchange, each one's rights are the keys that begin with its id and a dot: those of a
+/// gateway "a" would cover the keys of a gateway "a.b".
+void check_id_in_shared_exchange(const discovery::GatewayId& gateway, const BrokerPlan& broker) {
+  if (!broker.options.properties.contains("exchange") || gateway.str().find('.') == std::string::npos) return;
+  throw config::Error(fmt::format(
+      "the gateway's id \"{}\" has a dot, and the broker \"{}\" has the property \"exchange\": a gateway whose "
+      "id ends at the dot could write and read this one's messages there; give the gateway an id without "
+      "dots, or leave the property out",
+      gateway, broker.name));
 }
 
 /// With `interop: java` the channel has the one queue that the original's programs read and declare.
@@ -187,6 +200,7 @@ PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::Driver
     const auto found = spec.properties.find(key);
     return found == spec.properties.end() || found->second.empty() ? fallback : found->second;
   };
+  check_id_in_shared_exchange(gateway, broker);
   PlannedChannel channel;
   channel.spec = spec;
   auto& record = channel.record;
