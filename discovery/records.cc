@@ -10,6 +10,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/discovery/description/wire.h>
+#include <iotcloud/discovery/description/words.h>
 #include <iotcloud/discovery/wire_records.h>
 
 namespace iotcloud::discovery {
@@ -123,7 +124,7 @@ std::map<std::string, std::string> metadata_from_json(const std::string& text) {
   return metadata;
 }
 
-constexpr std::pair<DriverState, const char*> state_names[] = {
+constexpr Word<DriverState> state_names[] = {
     {DriverState::deployed, "deployed"},     {DriverState::starting, "starting"}, {DriverState::active, "active"},
     {DriverState::stopping, "stopping"},     {DriverState::inactive, "inactive"}, {DriverState::failed, "failed"},
     {DriverState::undeployed, "undeployed"}, {DriverState::ordered, "ordered"}};
@@ -131,19 +132,11 @@ constexpr std::pair<DriverState, const char*> state_names[] = {
 }  // namespace
 
 std::string to_string(DriverState state) {
-  for (const auto& [value, name] : state_names) {
-    if (value == state) return name;
-  }
-  return "unknown";
+  return word_of(state, state_names);
 }
 
 DriverState parse_driver_state(const std::string& name) {
-  std::string known;
-  for (const auto& [value, word] : state_names) {
-    if (name == word) return value;
-    known += known.empty() ? word : std::string(", ") + word;
-  }
-  throw config::Error("\"" + name + "\" is no driver state; there are: " + known);
+  return value_named(name, state_names, "driver state");
 }
 
 wire::TSensor to_wire(const DriverRecord& record) {

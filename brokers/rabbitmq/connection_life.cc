@@ -9,9 +9,10 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-ConnectionLife::ConnectionLife(Owner& owner, config::Mutex& mutex, ConnectionSleep& sleep, const Cluster& cluster,
-                               const config::Clock& clock, ConnectionLog& log)
-    : owner_(owner),
+ConnectionLife::ConnectionLife(const char* name, Owner& owner, config::Mutex& mutex, ConnectionSleep& sleep,
+                               const Cluster& cluster, const config::Clock& clock, ConnectionLog& log)
+    : name_(name),
+      owner_(owner),
       mutex_(mutex),
       sleep_(sleep),
       cluster_(cluster),
@@ -19,11 +20,12 @@ ConnectionLife::ConnectionLife(Owner& owner, config::Mutex& mutex, ConnectionSle
       log_(log),
       servers_(cluster.size()) {}
 
-void ConnectionLife::start(const char* name) {
+void ConnectionLife::start() {
   mutex_.assert_held();
-  if (ending_ || std::exchange(started_, true)) return;
+  if (ending_) return;
+  if (std::exchange(started_, true)) return wake();
   thread_ = std::thread([this] { run(); });
-  pthread_setname_np(thread_.native_handle(), name);
+  pthread_setname_np(thread_.native_handle(), name_);
 }
 
 bool ConnectionLife::begin_to_end() {

@@ -72,15 +72,15 @@ class ConnectionLife {
   /// How often the life looks whether they are.
   static constexpr std::chrono::milliseconds moving_period{50};
 
-  /// All arguments outlive this object. \param mutex the one of the owner's core
-  ConnectionLife(Owner& owner, config::Mutex& mutex, ConnectionSleep& sleep, const Cluster& cluster,
+  /// All arguments outlive this object. \param name the thread's \param mutex the one of the owner's core
+  ConnectionLife(const char* name, Owner& owner, config::Mutex& mutex, ConnectionSleep& sleep, const Cluster& cluster,
                  const config::Clock& clock, ConnectionLog& log);
   ~ConnectionLife() = default;  // begin_to_end() and join() were called
   ConnectionLife(const ConnectionLife&) = delete;
   ConnectionLife& operator=(const ConnectionLife&) = delete;
 
-  /// Starts the thread, unless it runs or the life is ending. \param name the thread's
-  void start(const char* name);
+  /// Starts the thread unless the life is ending; wakes it if it runs already.
+  void start();
   /// Has the thread close the connection and end. \return whether there is a thread, for which this caller must join()
   bool begin_to_end();
   /// Waits for the end of the thread. Called without the mutex, and not on that thread.
@@ -114,6 +114,7 @@ class ConnectionLife {
   /// Ends the open connection. Releases the mutex while it is closed.
   void part(bool in_order) IOTCLOUD_REQUIRES(mutex_);
 
+  const char* const name_;
   Owner& owner_;
   config::Mutex& mutex_;
   ConnectionSleep& sleep_;

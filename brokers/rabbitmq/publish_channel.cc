@@ -40,9 +40,9 @@ PublishChannel::PublishChannel(const Cluster& cluster, const char* purpose, Mete
         const config::MutexLock lock(core_.mutex);
         push();
       })),
-      life_(*this, core_.mutex, sleep_, cluster, clock, log) {
+      life_("amqp-publish", *this, core_.mutex, sleep_, cluster, clock, log) {
   const config::MutexLock lock(core_.mutex);
-  life_.start("amqp-publish");
+  life_.start();
 }
 
 PublishChannel::~PublishChannel() {

@@ -110,8 +110,8 @@ class PublishChannel final : client::PublishTransport, ConnectionLife::Owner {
   LinkSleep sleep_;  ///< watch() and put_off() need the mutex
   PublishCore core_;
 
-  // Used by the thread that has the core's Turn; replaced by the channel's thread, with the Turn and the mutex. Null
-  // while there is no connection.
+  // Used by the thread that has the core's Turn. The channel's thread sets it with the mutex, and takes it away with
+  // the Turn and the mutex. Null while there is no connection.
   std::unique_ptr<AmqpLink> wire_;
   /// A connection that is not used yet, or not any more. Only the channel's thread uses it.
   std::unique_ptr<AmqpLink> spare_;

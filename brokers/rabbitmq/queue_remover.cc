@@ -7,6 +7,21 @@
 #include "iotcloud/brokers/rabbitmq/logger.h"
 
 namespace iotcloud::brokers::rabbitmq {
+namespace {
+
+/// Connects to the first server that answers. \throws LinkError if none does.
+std::unique_ptr<AmqpLink> connect_to_remove(const Cluster& cluster) {
+  for (std::size_t server = 0; server + 1 < cluster.size(); ++server) {
+    try {
+      return cluster.connect(server, "removing queues", Login::reader);
+    } catch (const LinkError& error) {
+      logger.debug("{}: {}", cluster.name(server), error.what());
+    }
+  }
+  return cluster.connect(cluster.size() - 1, "removing queues", Login::reader);
+}
+
+}  // namespace
 
 QueueRemover::~QueueRemover() {
   std::thread thread;
@@ -45,13 +60,10 @@ void QueueRemover::run() {
 
 /// Asks the server to remove each queue once. \return the queues that the server keeps for now, to be tried again
 std::vector<QueueRemover::Unneeded> QueueRemover::try_all(std::vector<Unneeded> queues) {
-  std::vector<std::string> names;
-  names.reserve(queues.size());
-  for (const Unneeded& unneeded : queues) names.push_back(unneeded.queue);
   std::vector<std::string> answers;
   std::string trouble;
   try {
-    attempt_(names, answers);
+    attempt_(queues, answers);
   } catch (const LinkError& error) {
     trouble = error.what();
   }
@@ -71,26 +83,10 @@ std::vector<QueueRemover::Unneeded> QueueRemover::try_all(std::vector<Unneeded> 
   return refused;
 }
 
-namespace {
-
-/// Connects to the first server that answers. \throws LinkError if none does.
-std::unique_ptr<AmqpLink> connect_to_remove(const Cluster& cluster) {
-  for (std::size_t server = 0; server + 1 < cluster.size(); ++server) {
-    try {
-      return cluster.connect(server, "removing queues", Login::reader);
-    } catch (const LinkError& error) {
-      logger.debug("{}: {}", cluster.name(server), error.what());
-    }
-  }
-  return cluster.connect(cluster.size() - 1, "removing queues", Login::reader);
-}
-
-}  // namespace
-
 QueueRemover::Attempt attempt_at(const Cluster& cluster) {
-  return [&cluster](const std::vector<std::string>& queues, std::vector<std::string>& answers) {
+  return [&cluster](const std::vector<QueueRemover::Unneeded>& queues, std::vector<std::string>& answers) {
     const auto link = connect_to_remove(cluster);
-    for (const std::string& queue : queues) answers.push_back(link->remove_idle_queue(publish_channel, queue));
+    for (const auto& unneeded : queues) answers.push_back(link->remove_idle_queue(publish_channel, unneeded.queue));
     link->close(0);
   };
 }

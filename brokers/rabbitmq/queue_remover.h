@@ -16,9 +16,13 @@ namespace iotcloud::brokers::rabbitmq {
 /// long as a queue is in use and its time is not up. Waits go by the injected clock. Thread safe.
 class QueueRemover {
  public:
+  struct Unneeded {
+    std::string queue;
+    config::Clock::Instant until;  ///< when the remover gives the queue up
+  };
   /// Asks a server once to remove each of these queues. \param answers gets for each one an empty text, or why the
   /// server keeps it. \throws LinkError if no server can be asked, or cannot be asked any more
-  using Attempt = std::function<void(const std::vector<std::string>& queues, std::vector<std::string>& answers)>;
+  using Attempt = std::function<void(const std::vector<Unneeded>& queues, std::vector<std::string>& answers)>;
 
   /// \param clock outlives this object
   QueueRemover(Attempt attempt, const config::Clock& clock) : attempt_(std::move(attempt)), clock_(clock) {}
@@ -35,11 +39,6 @@ class QueueRemover {
   static constexpr std::chrono::milliseconds pause{100};
 
  private:
-  struct Unneeded {
-    std::string queue;
-    config::Clock::Instant until;  ///< when the remover gives the queue up
-  };
-
   void run();
   std::vector<Unneeded> try_all(std::vector<Unneeded> queues) IOTCLOUD_EXCLUDES(mutex_);
 

@@ -43,7 +43,7 @@ ReadConnection::ReadConnection(const Cluster& cluster, const char* purpose, Mete
       clock_(clock),
       core_(*this, meters, clock, gathering_time),
       channel_limit_(static_cast<std::size_t>(cluster.channels())),
-      life_(*this, core_.mutex, sleep_, cluster, clock, log) {}
+      life_("amqp-consume", *this, core_.mutex, sleep_, cluster, clock, log) {}
 
 void ReadConnection::close() {
   {
@@ -64,8 +64,7 @@ std::shared_ptr<QueueReader> ReadConnection::add(const Topic& topic, const Subsc
   const config::MutexLock lock(core_.mutex);
   readers_.push_back(reader);
   set_timer(*reader, clock_.now());
-  life_.start("amqp-consume");
-  wake();
+  life_.start();
   return reader;
 }
 
@@ -92,8 +91,7 @@ void ReadConnection::share(ReadConnection& other) {
     reader->move_to(other.shared_from_this());
     other.readers_.push_back(reader);
   }
-  other.life_.start("amqp-consume");
-  other.wake();
+  other.life_.start();
 }
 
 bool ReadConnection::remove(const std::shared_ptr<QueueReader>& reader) {

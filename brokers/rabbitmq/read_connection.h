@@ -143,8 +143,8 @@ class ReadConnection final : client::ReadTransport,
   LinkSleep sleep_;  ///< only the connection's thread calls watch()
   ReadCore core_;
 
-  // Used by the thread that has the WireTurn; replaced by the connection's thread, with the WireTurn and the mutex.
-  // Null while there is no connection.
+  // Used by the thread that has the WireTurn. The connection's thread sets it with the mutex, and takes it away with
+  // the WireTurn and the mutex. Null while there is no connection.
   std::unique_ptr<AmqpLink> wire_;
   /// A connection that is not used yet, or not any more. Only the connection's thread uses it.
   std::unique_ptr<AmqpLink> spare_;

@@ -20,7 +20,7 @@
 
 /// JSON from a struct's description, and back. Heavy to include: for sources only.
 /// Texts, numbers, and lists and maps of them become JSON as they are. An id becomes its text, also in lists and as the
-/// key of a map; a duration becomes its number of milliseconds; an enumeration becomes what json_value(value) returns,
+/// key of a map; a duration becomes its count in its own unit; an enumeration becomes what json_value(value) returns,
 /// and parse(json, value) reads it back; a described struct becomes an object, also in lists, maps and optional fields.
 /// A field with a form of its own (fields.h) becomes what its form makes of it, which may be JSON already.
 /// JSON is read as input from strangers: a value of another type, a number with a fraction or one that does not fit

@@ -8,7 +8,7 @@
 #include <iotcloud/discovery/ids.h>
 
 /// Converts a described struct into the struct that Thrift generates, and back. Enumerations have the same numbers on
-/// both sides, or are the texts of description/json.h, an id is its text, a duration is its number of milliseconds
+/// both sides, or are the texts of description/json.h, an id is its text, a duration is its count in its own unit
 /// (when it is optional, a number from Thrift that is not above 0 means that it is not set), and described structs may
 /// stand in lists, maps and optional fields. A field with a form of its own (fields.h) is converted in that form.
 namespace iotcloud::discovery {

@@ -1,5 +1,3 @@
-#include <array>
-#include <string_view>
 #include <utility>
 
 #include <fmt/format.h>
@@ -7,6 +5,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/description/json.h>
+#include <iotcloud/discovery/description/words.h>
 #include <iotcloud/gateway/host/protocol.h>
 #include <iotcloud/processes/frames.h>
 
@@ -14,22 +13,19 @@ namespace iotcloud::gateway {
 
 namespace {
 
-constexpr std::array pass_answers = {"handled", "failed", "comes", "nowhere"};
+constexpr discovery::Word<PassAnswer> pass_answers[] = {{PassAnswer::handled, "handled"},
+                                                        {PassAnswer::failed, "failed"},
+                                                        {PassAnswer::comes, "comes"},
+                                                        {PassAnswer::nowhere, "nowhere"}};
 
 }  // namespace
 
 std::string json_value(PassAnswer answer) {
-  return pass_answers.at(static_cast<std::size_t>(answer));
+  return discovery::word_of(answer, pass_answers);
 }
 
 void parse(const std::string& name, PassAnswer& answer) {
-  for (std::size_t i = 0; i < pass_answers.size(); ++i) {
-    if (name == pass_answers[i]) {
-      answer = static_cast<PassAnswer>(i);
-      return;
-    }
-  }
-  throw config::Error(fmt::format("\"{}\" is no answer to a passed message", name));
+  answer = discovery::value_named(name, pass_answers, "answer to a passed message");
 }
 
 }  // namespace iotcloud::gateway

@@ -56,13 +56,14 @@ class HandSleep final : public ConnectionSleep {
 class RabbitMqConnectionLife : public testing::Test, protected ConnectionLife::Owner {
  protected:
   explicit RabbitMqConnectionLife(const std::vector<std::string>& servers = {"amqp://one"})
-      : cluster_(options_of(servers), urls_of(servers)), life_(*this, mutex_, sleep_, cluster_, clock_, log_) {}
+      : cluster_(options_of(servers), urls_of(servers)),
+        life_("test-life", *this, mutex_, sleep_, cluster_, clock_, log_) {}
   ~RabbitMqConnectionLife() override = default;
   void TearDown() override { end(); }  // not in the destructor: the thread calls this object by its virtual functions
 
   void start() {
     const config::MutexLock lock(mutex_);
-    life_.start("test-life");
+    life_.start();
   }
   void end() {
     bool mine = false;
@@ -205,6 +206,13 @@ TEST_F(RabbitMqConnectionLife, AWakeHasItServeOnceMore) {
   start();
   ASSERT_TRUE(sleeps());
   wake();
+  EXPECT_TRUE(eventually([&] { return served() == 2; }));
+}
+
+TEST_F(RabbitMqConnectionLife, AStartOfARunningLifeWakesIt) {
+  start();
+  ASSERT_TRUE(sleeps());
+  start();
   EXPECT_TRUE(eventually([&] { return served() == 2; }));
 }
 

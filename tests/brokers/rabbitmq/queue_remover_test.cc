@@ -21,10 +21,10 @@ using tests::eventually;
 class RabbitMqQueueRemover : public testing::Test {
  protected:
   QueueRemover::Attempt attempt() {
-    return [this](const std::vector<std::string>& queues, std::vector<std::string>& answers) {
+    return [this](const std::vector<QueueRemover::Unneeded>& queues, std::vector<std::string>& answers) {
       const std::lock_guard lock(mutex_);
-      for (const std::string& queue : queues) {
-        ++asked_[queue];
+      for (const auto& unneeded : queues) {
+        ++asked_[unneeded.queue];
         if (away_) throw LinkError("nobody listens");
         answers.push_back(in_use_);
       }
