@@ -44,6 +44,7 @@ import certificates
 import private_server
 
 PROGRAMS = "/usr/lib/rabbitmq/bin"  # those in /usr/sbin switch to another user, which cannot use private folders
+PATIENCE_S = 300  # for an answer of rabbitmqctl, whose own virtual machine starts first
 
 
 class PortMapper(private_server.Server):
@@ -170,7 +171,7 @@ class RabbitMq(private_server.Server):
 
     def control(self, *arguments):
         subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, *arguments], env=self.environment(),
-                       stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=True, timeout=60,
+                       stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=True, timeout=PATIENCE_S,
                        preexec_fn=private_server.become_child)
 
     def alarm(self):
@@ -217,7 +218,7 @@ class RabbitMq(private_server.Server):
 
     def listed(self, *arguments):
         return subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, "-q", *arguments], env=self.environment(),
-                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, check=True, timeout=60,
+                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, check=True, timeout=PATIENCE_S,
                               preexec_fn=private_server.become_child).stdout
 
     def stop(self):
