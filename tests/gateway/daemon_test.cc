@@ -2,8 +2,10 @@
 #include <chrono>
 #include <filesystem>
 #include <fstream>
+#include <future>
 #include <iterator>
 #include <map>
+#include <memory>
 #include <optional>
 #include <tuple>
 #include <utility>
@@ -15,17 +17,23 @@
 #include <spawn.h>
 #include <sys/file.h>
 #include <sys/wait.h>
+#include <thrift/protocol/TBinaryProtocol.h>
+#include <thrift/transport/TBufferTransports.h>
+#include <thrift/transport/TSocket.h>
 #include <unistd.h>
 
+#include "iotcloud/gateway/TSensorSiteService.h"
 #include <iotcloud/discovery/freeze.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/processes/unix_socket.h>
+#include <iotcloud/security/audit_chain.h>
 #include <iotcloud/security/ed25519.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 #include <iotcloud/tests/loopback_listener.h>
+#include <iotcloud/tests/servers/free_port.h>
 #include <iotcloud/tests/servers/private_server.h>
 
 namespace iotcloud::gateway {
@@ -99,6 +107,24 @@ class DaemonTest : public ::testing::Test {
       const auto now = record(instance);
       return now && now->state == state;
     });
+  }
+  /// Has the gateway itself deploy an instance. \return the outcome; none: it died meanwhile
+  std::optional<DriverState> deploy_at(int port) const {
+    namespace thrift = apache::thrift;
+    const auto transport = std::make_shared<thrift::transport::TFramedTransport>(
+        std::make_shared<thrift::transport::TSocket>("127.0.0.1", port));
+    wire::TSensorSiteServiceClient client(std::make_shared<thrift::protocol::TBinaryProtocol>(transport));
+    discovery::wire::TSensorDeployDescriptor descriptor;
+    descriptor.__set_filename("probe.so");
+    descriptor.__set_properties(properties_);
+    discovery::wire::TResponse answer;
+    try {
+      transport->open();
+      client.deploySensor(answer, descriptor);
+    } catch (const thrift::TException&) {
+      return std::nullopt;
+    }
+    return answer.state == discovery::wire::TResponseState::SUCCESS ? DriverState::active : DriverState::failed;
   }
   std::vector<int> host_processes() const { return host_processes(folder_); }
   static std::vector<int> host_processes(const fs::path& folder) {
@@ -364,6 +390,43 @@ TEST_F(DaemonTest, WhatCannotBeReadAgainOnSighupKeepsNothingElseFromBeingRead) {
   std::ofstream(folder_ / "keys/broken.pub") << "no key";
   kill(daemon_, SIGHUP);
   EXPECT_TRUE(eventually([&] { return fs::exists(folder_ / "audit.log"); })) << "its audit log is begun anew";
+}
+
+TEST_F(DaemonTest, WhatAGatewayWasAboutToDoWhenItWasKilledStandsInItsAuditLog) {
+  const std::string log = folder_ / "audit.log";
+  configure(TEST_PLUGINS, "audit: {file: " + log + "}\n");
+  const auto count = [&](const std::string& event) {
+    const std::string text = tests::read_file(log);
+    std::size_t found = 0;
+    for (auto at = text.find(event); at != std::string::npos; at = text.find(event, at + 1)) ++found;
+    return found;
+  };
+  const int port = tests::free_port();
+  const std::string file = folder_ / "gateway.yaml";
+  std::string text = tests::read_file(file);
+  text.replace(text.find("port: 0"), 7, "port: " + std::to_string(port));
+  std::ofstream(file) << text;
+  start_daemon();
+  ASSERT_TRUE(eventually([&] { return alive_session() != 0; }));
+  const auto session = alive_session();
+
+  zookeeper_.command("pause", "PAUSED");  // the order's effect is a node there
+  auto answer = std::async(std::launch::async, [&] { return deploy_at(port); });
+  EXPECT_TRUE(eventually([&] { return count(R"("event":"begun")") == 1; })) << "it is written down after its effect";
+  end_daemon(SIGKILL);
+  EXPECT_EQ(answer.get(), std::nullopt) << "the caller does not know what became of it";
+  zookeeper_.command("resume", "RESUMED");
+  const auto orders = registry_->children(paths_.orders("gw"_gateway));
+  EXPECT_TRUE(!orders || orders->empty()) << "nothing came of it";
+  EXPECT_THAT(tests::read_file(log), testing::HasSubstr("deploySensor"));
+  EXPECT_EQ(count(R"("event":"ended")"), 0U);
+
+  start_daemon();
+  ASSERT_TRUE(eventually([&] { return alive_session() != 0 && alive_session() != session; }));
+  EXPECT_EQ(deploy_at(port), DriverState::active);
+  EXPECT_EQ(count(R"("event":"begun")"), 2U);
+  EXPECT_TRUE(eventually([&] { return count(R"("event":"ended")") == 1; })) << "that of the second one";
+  EXPECT_TRUE(security::verify_audit({log}, {}).findings.empty()) << "the chain goes on over the gateway's death";
 }
 
 }  // namespace

@@ -1,4 +1,7 @@
+#include <algorithm>
+#include <filesystem>
 #include <fstream>
+#include <functional>
 #include <regex>
 #include <set>
 
@@ -116,6 +119,112 @@ TEST_F(SiteServiceTest, TheGatewayWritesDownWhoGaveItOrders) {
   EXPECT_THAT(lines[0], testing::AllOf(HasSubstr("\"event\":\"begun\""), HasSubstr("probe.so")));
   EXPECT_THAT(lines[1], testing::AllOf(HasSubstr("\"event\":\"ended\""), HasSubstr("done")));
   EXPECT_TRUE(security::verify_audit({options.audit.file}, {}).findings.empty());
+}
+
+/// What a gateway says to a call of each method that its audit log has, about an instance. By method; empty: nothing.
+std::map<std::string, std::string> answers_to_orders(wire::TSensorSiteServiceClient& client, const std::string& id) {
+  TResponse stopped, started, deployed, undeployed;
+  client.stopSensor(stopped, id);
+  client.startSensor(started, id);
+  discovery::wire::TSensorDeployDescriptor descriptor;
+  descriptor.__set_filename("probe.so");
+  client.deploySensor(deployed, descriptor);
+  client.unDeploySensor(undeployed, id);
+  const auto reason = [](const std::function<void()>& call) -> std::string {
+    try {
+      call();
+    } catch (const wire::TSiteError& error) {
+      return error.reason;
+    }
+    return "";
+  };
+  return {{"stopSensor", stopped.statusMessage},
+          {"startSensor", started.statusMessage},
+          {"deploySensor", deployed.statusMessage},
+          {"unDeploySensor", undeployed.statusMessage},
+          {"handMessage", reason([&] {
+             discovery::wire::THandedMessage message;
+             message.__set_instance(id);
+             message.__set_channel("control");
+             discovery::wire::TChannelLook look;
+             client.handMessage(look, message);
+           })},
+          {"offerPlugin", reason([&] {
+             wire::TPluginOffer offer;
+             offer.__set_plugin("sent.so");
+             std::string upload;
+             client.offerPlugin(upload, offer);
+           })},
+          {"finishPlugin", reason([&] { client.finishPlugin("sent.so-1"); })}};
+}
+
+std::set<std::string> audited_methods() {
+  std::set<std::string> methods;
+  for (const auto& [name, rule] : SiteService::rules()) {
+    if (rule.role >= security::Role::operating && rule.audited) methods.insert(name);
+  }
+  return methods;
+}
+
+TEST_F(SiteServiceTest, EachOrderIsWrittenDownOnceBeforeItsEffectAndOnceAfterIt) {
+  const security::test::Folder folder;
+  transport_->close();
+  service_.reset();
+  SiteService::Options options;
+  options.listen.port = 0;
+  options.audit.file = folder / "audit.log";
+  service_.emplace(options, *gateway_, *registry_, paths_);
+  connect();
+  answers_to_orders(*client_, "00000000-0000-0000-0000-000000000000");
+  std::vector<std::string> order;
+  std::ifstream in(options.audit.file);
+  for (std::string line; std::getline(in, line);) {
+    std::smatch found;
+    ASSERT_TRUE(std::regex_search(line, found, std::regex(R"re("event":"(\w+)".*"order":"(\w+)")re"))) << line;
+    order.push_back(found.str(2) + " " + found.str(1));
+  }
+  for (const auto& method : audited_methods()) {
+    const auto begun = std::find(order.begin(), order.end(), method + " begun");
+    ASSERT_NE(begun, order.end()) << method << " is not written down before it is carried out";
+    EXPECT_EQ(std::find(begun + 1, order.end(), method + " ended"), begun + 1) << method;
+  }
+  EXPECT_EQ(order.size(), 2 * audited_methods().size());
+}
+
+TEST_F(SiteServiceTest, WithAFullDiskEveryOrderIsRefusedIfTheSettingsSaySoAndElseCarriedOut) {
+  const std::string id = deploy().statusMessage;
+  const auto before = record(id);
+  ASSERT_EQ(before->state, DriverState::active);
+  for (const bool refuse : {true, false}) {
+    const security::test::Folder folder;
+    transport_->close();
+    service_.reset();
+    SiteService::Options options;
+    options.listen.port = 0;
+    options.audit.file = folder / "audit.log";
+    std::filesystem::create_symlink("/dev/full", options.audit.file);
+    if (refuse) options.audit.when_full = security::AuditSettings::WhenFull::refuse;
+    service_.emplace(options, *gateway_, *registry_, paths_);
+    connect();
+    std::set<std::string> methods;
+    for (const auto& [method, answer] : answers_to_orders(*client_, id)) {
+      methods.insert(method);
+      const auto cannot_be_written = HasSubstr("the audit log cannot be written");
+      if (refuse) {
+        EXPECT_THAT(answer, cannot_be_written) << method;
+      } else {
+        EXPECT_THAT(answer, ::testing::Not(cannot_be_written)) << method;
+      }
+    }
+    EXPECT_EQ(methods, audited_methods());
+    const auto orders = registry_->children(paths_.orders("gw"_gateway));
+    if (refuse) {
+      EXPECT_THAT(*orders, ::testing::ElementsAre(id)) << "nothing was deployed, and nothing undeployed";
+      EXPECT_EQ(encode(*record(id)), encode(*before)) << "it was neither stopped nor started";
+    } else {
+      EXPECT_THAT(*orders, ::testing::ElementsAre(::testing::Ne(id))) << "one was deployed, the other undeployed";
+    }
+  }
 }
 
 TEST_F(SiteServiceTest, AnInstanceIsDeployedStoppedStartedAndUndeployed) {
