@@ -23,7 +23,7 @@ from pathlib import Path
 from figures import ProgramFailed, Programs, Verdict, machine, number
 
 REPORTS = Path("/var/lib/iotcloud-reports")
-PASSWORD = Path("/run/secrets/rabbitmq.password")
+PASSWORDS = Path("/run/secrets")
 SIZES = {"100 B": 100, "10 KB": 10_000, "60 KB": 60_000, "200 KB": 200_000}
 # broker: driver whose channels deploy/cluster/topology.yaml reads
 DRIVERS = {"rabbitmq": "loadgen", "kafka": "loadgen-kafka"}
@@ -157,12 +157,12 @@ def main():
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}", flush=True)
     sizes = {text: SIZES[text] for text in ("100 B", "60 KB")} if given.quick else SIZES
     how = (sizes, 3, 5, report) if given.quick else (sizes, 5, 10, report)
-    password = PASSWORD.read_text().strip()
+    user = {broker: f"bench:{(PASSWORDS / f'{broker}.password').read_text().strip()}" for broker in DRIVERS}
     with warm("rabbitmq"):
-        measure("rabbitmq", "RabbitMQ", f"amqp://bench:{password}@rabbitmq:5672/", "librabbitmq", *how)
+        measure("rabbitmq", "RabbitMQ", f"amqp://{user['rabbitmq']}@rabbitmq:5672/", "librabbitmq", *how)
     if reachable("kafka"):
         with warm("kafka"):
-            measure("kafka", "Kafka", "kafka://kafka:9092", "librdkafka", *how)
+            measure("kafka", "Kafka", f"kafka://{user['kafka']}@kafka:9092", "librdkafka", *how)
     else:
         print("Kafka: not there (./dev cluster up without --small has it)")
     written = {"machine": facts, "commit": given.commit, "command": shlex.join(["./dev", "cluster", "bench",

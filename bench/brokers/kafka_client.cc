@@ -44,7 +44,17 @@ std::unique_ptr<rd_kafka_t, Destroy> make(rd_kafka_type_t type, const BrokerOpti
       throw std::runtime_error(problem.data());
     }
   };
-  set("bootstrap.servers", options.url.substr(scheme.size()));
+  std::string server = options.url.substr(scheme.size());
+  if (const auto at = server.find('@'); at != std::string::npos) {
+    const auto colon = server.find(':');
+    if (colon >= at) throw std::runtime_error("a user without a password: " + options.url);
+    set("security.protocol", "sasl_plaintext");
+    set("sasl.mechanisms", "PLAIN");
+    set("sasl.username", server.substr(0, colon));
+    set("sasl.password", server.substr(colon + 1, at - colon - 1));
+    server.erase(0, at + 1);
+  }
+  set("bootstrap.servers", server);
   set("message.max.bytes", "16777216");
   for (const auto& [name, value] : settings) set(name, value);
   if (type == RD_KAFKA_PRODUCER && options.confirms) rd_kafka_conf_set_dr_msg_cb(configuration, on_report);

@@ -45,21 +45,27 @@ def own_pages(name):
 FILES = {
     "registry-tls": host_files("registry-tls"),
     "rabbitmq": {"users.json": "rabbitmq.users.json"},
+    "kafka": {"server.jaas": "kafka.server.jaas", "admin.properties": "kafka.admin.properties"},
     **{name: {**host_files(name), **ORDER_KEYS, "masters.tokens": "masters.tokens", "orders.key": f"{name}.orders.key",
               "pages.token": f"{name}.pages.token", **own_pages(name), "registry.users": "registry.users",
               "registry.password": f"{name}.registry.password",
               **{f"{gateway}.token": f"{name}-{gateway}.token" for gateway in GATEWAYS}} for name in MASTERS},
     **{name: {**host_files(name), **ORDER_KEYS, **own_pages(name), "tokens": f"{name}.tokens", "registry.users": "registry.users",
               "registry.password": f"{name}.registry.password", "rabbitmq.password": f"{name}.rabbitmq.password",
-              "rabbitmq-reads.password": f"{name}-reads.rabbitmq.password"} for name in GATEWAYS},
+              "rabbitmq-reads.password": f"{name}-reads.rabbitmq.password", "kafka.password": f"{name}.kafka.password"}
+       for name in GATEWAYS},
     **{name: {**host_files(name), **ORDER_KEYS, "pages.tokens": "pages.tokens", "health.token": f"{name}.pages.token",
               "registry.users": "registry.users", "registry.password": "workers.registry.password",
-              "rabbitmq.password": "workers.rabbitmq.password"} for name in WORKERS},
+              "rabbitmq.password": "workers.rabbitmq.password", "kafka.password": "workers.kafka.password"}
+       for name in WORKERS},
     "prometheus": {"ca.pem": "ca.pem", "host.pem": "prometheus.pem", "host.key": "prometheus.key",
                    "prometheus.token": "prometheus.token"},
     "operator": OPERATOR,
-    "bench": {**OPERATOR, "rabbitmq.password": "bench.rabbitmq.password"},
+    "bench": {**OPERATOR, "rabbitmq.password": "bench.rabbitmq.password", "kafka.password": "bench.kafka.password"},
 }
+# The server of this image runs as a user of the image's own, who must read them. On this machine nobody gets there, because the
+# folder above is for its owner only.
+READ_BY_A_USER_OF_THE_IMAGE = {"kafka"}
 
 # What each user of RabbitMQ may configure, write and read, and with which routing keys it may write to the gateways' exchange
 # and read from it (keys and queues begin with the gateway's id, docs/wire.md#topics). All gateways have the exchange amq.topic,
@@ -91,6 +97,11 @@ RABBITMQ_USERS = {
     "workers": rights_of_workers(),
     "bench": dict.fromkeys(("configure", "write", "read", "keys"), EVERYTHING),  # its bare clients have names of their own
 }
+
+
+# The users of Kafka; what each may do is in the file kafka-rights. The administrator gives them their rights.
+KAFKA_USERS = [*GATEWAYS, "workers", "bench"]
+KAFKA_ADMINISTRATOR = "admin"
 
 
 class Refused(Exception):
@@ -230,6 +241,20 @@ def rabbitmq_users(passwords):
                                "read": rights["keys"]} for user, rights in RABBITMQ_USERS.items()]}, indent=1)
 
 
+def kafka_users(passwords):
+    """What Kafka reads of its users, the administrator among them, as which it also speaks to itself."""
+    own = f'username="{KAFKA_ADMINISTRATOR}" password="{passwords[KAFKA_ADMINISTRATOR]}"'
+    users = "".join(f'\n    user_{user}="{password}"' for user, password in passwords.items())
+    return f"KafkaServer {{\n  org.apache.kafka.common.security.plain.PlainLoginModule required\n    {own}{users};\n}};"
+
+
+def kafka_administrator(passwords):
+    """The administrator's access, for Kafka's own programs."""
+    return ("security.protocol=SASL_PLAINTEXT\nsasl.mechanism=PLAIN\n"
+            "sasl.jaas.config=org.apache.kafka.common.security.plain.PlainLoginModule required "
+            f'username="{KAFKA_ADMINISTRATOR}" password="{passwords[KAFKA_ADMINISTRATOR]}";')
+
+
 def distribute(folder):
     """Gives each service its files of the authority's folder. A file that changed is replaced in one step, which a daemon
     sees in the folder that it has mounted."""
@@ -241,9 +266,13 @@ def distribute(folder):
             if (own / target).exists() and (own / target).read_bytes() == given.read_bytes():
                 continue
             shutil.copy(given, fresh)  # with its permissions
+            if service in READ_BY_A_USER_OF_THE_IMAGE:
+                fresh.chmod(0o644)
             if os.getuid() == 0:
                 os.chown(fresh, user_id(), user_id())
             fresh.replace(own / target)
+        if service in READ_BY_A_USER_OF_THE_IMAGE:
+            own.chmod(0o755)
         if os.getuid() == 0:
             os.chown(own, user_id(), user_id())
 
@@ -300,6 +329,11 @@ def make_secrets(docker):
     for user, password in passwords.items():
         write_secret(fresh, f"{user}.rabbitmq.password", password)
     write_secret(fresh, "rabbitmq.users.json", rabbitmq_users(passwords))
+    passwords = {user: secrets.token_hex(24) for user in [*KAFKA_USERS, KAFKA_ADMINISTRATOR]}
+    for user in KAFKA_USERS:
+        write_secret(fresh, f"{user}.kafka.password", passwords[user])
+    write_secret(fresh, "kafka.server.jaas", kafka_users(passwords))
+    write_secret(fresh, "kafka.admin.properties", kafka_administrator(passwords))
     distribute(all_of_it)
     all_of_it.rename(SECRETS)
 

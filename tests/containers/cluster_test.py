@@ -1,6 +1,7 @@
 #!/usr/bin/python3
-"""The cluster in containers, for real: on a Docker daemon of its own, with ./dev cluster up, bench and down. A master, a
-gateway, a worker, ZooKeeper and the brokers are killed one by one; each heals by itself, and no message is lost.
+"""The cluster in containers, for real: on a Docker daemon of its own, with ./dev cluster up, certs, bench and down. A master, a
+gateway, a worker, ZooKeeper and the brokers are killed one by one; each heals by itself, all certificates are renewed and some
+are revoked, and no message is lost.
 
 usage: cluster_test.py BUILD_DIR [--small] [--full]        (./dev cluster test builds what this needs; as root)
 """
@@ -12,6 +13,7 @@ import re
 import shlex
 import shutil
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -26,9 +28,14 @@ from private_cluster import require, wait_for  # noqa: E402
 
 PROJECT = "iotcloud-test"
 GATEWAYS = ["gateway-1", "gateway-2"]
+SECRETS = ROOT / "build/cluster/secrets"
 BOOKS = "/var/lib/iotcloud-reports/books"  # which driver hosts may write; all gateways share it
 NEWER = 50  # messages that must have come back since the repair
 HEAL_LIMIT_S = 120
+# Where each holder of a certificate shows it to whoever connects.
+SHOWN_AT = {"master-1": [12904, 9112], "master-2": [12904, 9112], "gateway-1": [12905, 9405], "gateway-2": [12905, 9405],
+            "topology-1": [9406], "topology-2": [9406], "registry-tls": [2281]}
+READER = HERE / "page_reader.py"
 
 
 class Cluster:
@@ -63,6 +70,10 @@ class Cluster:
                                    "--filter", "label=com.docker.compose.oneoff=False").split()
         require(len(found) == 1, f"{service} has {len(found)} containers")
         return found[0]
+
+    def address(self, service):
+        """In the network that the daemons share."""
+        return self.inspect(service)["NetworkSettings"]["Networks"][f"{PROJECT}_default"]["IPAddress"]
 
     def healthy(self, service):
         return self.inspect(service)["State"].get("Health", {}).get("Status") == "healthy"
@@ -113,7 +124,7 @@ def check_round_trip(cluster):
 
 def check_confined(cluster):
     """No process of ours is root's, and none can become it; passwords stand in no configuration of a container."""
-    secrets = ROOT / "build/cluster/secrets/authority"
+    secrets = SECRETS / "authority"
     require(secrets.stat().st_mode & 0o777 == 0o700, "the folder of the secrets is open to others")
     hidden = [file.read_text().strip() for file in secrets.iterdir() if file.suffix in (".password", ".token")]
     require(len(hidden) > 10, f"only {len(hidden)} passwords and tokens in {secrets}")
@@ -213,6 +224,93 @@ def check_faults(cluster):
         kill_and_heal(cluster, "kafka")
 
 
+def certificate_at(cluster, service, port):
+    """The certificate that a service shows to whoever connects now; empty: none."""
+    told = cluster.docker.inside("openssl", "s_client", "-connect", f"{cluster.address(service)}:{port}", stdin=subprocess.DEVNULL,
+                                 capture_output=True, text=True).stdout
+    return first_certificate(told)
+
+
+def first_certificate(text):
+    found = re.search("-----BEGIN CERTIFICATE-----.*?-----END CERTIFICATE-----", text, re.DOTALL)
+    return found[0] if found else ""
+
+
+def check_renewal(cluster):
+    """All certificates are renewed while the ledgers write, then some are revoked: open connections are cut, and nothing else."""
+    authority = SECRETS / "authority"
+    before = {service: cluster.inspect(service)["State"]["StartedAt"] for service in SHOWN_AT}
+    first = {service: first_certificate((authority / f"{service}.pem").read_text()) for service in SHOWN_AT}
+    begin = time.monotonic()
+    cluster.dev("certs", "renew", *SHOWN_AT, "prometheus", quiet=True)
+    for service, ports in SHOWN_AT.items():
+        renewed = first_certificate((authority / f"{service}.pem").read_text())
+        require(renewed and renewed != first[service], f"the certificate of {service} was not renewed")
+        for port in ports:
+            wait_for(f"{service} shows its renewed certificate at port {port}", lambda service=service, port=port, renewed=renewed:
+                     certificate_at(cluster, service, port) == renewed, HEAL_LIMIT_S)
+    shown = time.monotonic() - begin
+    wait_until_settled(cluster, sent_so_far(cluster), "the certificates were renewed")
+    print(f"{len(SHOWN_AT) + 1} certificates renewed: all daemons show theirs after {shown:.1f} s", flush=True)
+
+    # A reader of pages, whose token all daemons know.
+    pages = {service: ports[-1] for service, ports in SHOWN_AT.items() if service != "registry-tls"}
+    readers = {service: PageReader(cluster, service, port) for service, port in pages.items()}
+    try:
+        for service, reader in readers.items():
+            require(reader.says() == "reading", f"the page of {service} is not read")
+        begin = time.monotonic()
+        cluster.dev("certs", "revoke", "prometheus", quiet=True)
+        for service, reader in readers.items():
+            said = reader.says()
+            require(said == "cut", f"{service} says to whoever has a revoked certificate: {said}")
+        cut = time.monotonic() - begin
+    finally:
+        for reader in readers.values():
+            reader.end()
+    for service, port in pages.items():
+        with PageReader(cluster, service, port) as again:
+            require(again.says() == "cut", f"{service} lets in who has a revoked certificate")
+    print(f"one revoked: {len(readers)} open connections are cut within {cut:.1f} s of the command, and no new one is taken", flush=True)
+
+    # A worker, of which masters show the page: they do not speak with it any more, and its messages go on.
+    def workers():
+        return [worker for worker in cluster.json("topology", "show", "echo")["workers"] if worker.get("problem", "") == ""]
+    wait_for("the masters see both workers", lambda: len(workers()) == 2, HEAL_LIMIT_S)
+    cluster.dev("certs", "revoke", "topology-2", quiet=True)
+    wait_for("the masters do not speak with the worker whose certificate is revoked", lambda: len(workers()) < 2, HEAL_LIMIT_S)
+    wait_until_settled(cluster, sent_so_far(cluster), "a worker's certificate was revoked")
+    cluster.dev("certs", "renew", "topology-2", "prometheus", quiet=True)
+    wait_for("the masters see it with another certificate", lambda: len(workers()) == 2, HEAL_LIMIT_S)
+    wait_until_settled(cluster, sent_so_far(cluster), "it got another one")
+    after = {service: cluster.inspect(service)["State"]["StartedAt"] for service in SHOWN_AT}
+    require(before == after, f"started again for its certificate: {before} {after}")
+    print("the masters do not speak with a worker whose certificate is revoked, until it has another one; nobody was started "
+          "again, and no message is missing", flush=True)
+
+
+class PageReader:
+    """page_reader.py, with the secrets that Prometheus has."""
+
+    def __init__(self, cluster, service, port):
+        self.process = subprocess.Popen([*cluster.docker.enter, sys.executable, str(READER), str(SECRETS / "prometheus"), service,
+                                         cluster.address(service), str(port)], stdout=subprocess.PIPE, text=True)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.end()
+
+    def says(self):
+        """Waits for what it says next."""
+        return self.process.stdout.readline().strip()
+
+    def end(self):
+        self.process.kill()
+        self.process.wait()
+
+
 def check_books(cluster):
     """No message was lost in the whole test: all came back."""
     for ledger in cluster.ledgers:
@@ -273,7 +371,7 @@ def main():
     work.mkdir(parents=True, exist_ok=True)
     build, kafka = given.build.resolve(), not given.small
     begin = time.monotonic()
-    require(not (ROOT / "build/cluster/secrets").exists(), "a cluster is up from this folder: ./dev cluster down first")
+    require(not SECRETS.exists(), "a cluster is up from this folder: ./dev cluster down first")
     with PrivateDocker(work / "dockerd.log") as docker:
         print(f"a Docker daemon of its own, after {time.monotonic() - begin:.0f} s", flush=True)
         cluster = Cluster(docker, images.load(docker, build, work, kafka, given.full), work, kafka)
@@ -288,6 +386,7 @@ def main():
             check_programs(cluster)
             check_round_trip(cluster)
             deploy_ledgers(cluster, build)
+            check_renewal(cluster)
             check_faults(cluster)
             check_books(cluster)
             check_bench(cluster, kafka)
@@ -297,7 +396,7 @@ def main():
         finally:
             cluster.dev("down")
         require(everything(docker) == before, f"left after down: {everything(docker)}; before up: {before}")
-        require(not (ROOT / "build/cluster/secrets").exists(), "secrets are left after down")
+        require(not SECRETS.exists(), "secrets are left after down")
         print("`./dev cluster down` left nothing, and took nothing else", flush=True)
     print(f"took {(time.monotonic() - begin) / 60:.1f} min")
 

@@ -8,6 +8,7 @@ usage: compose_file_test.py
 import copy
 import json
 import re
+import subprocess
 import sys
 import tempfile
 import types
@@ -200,6 +201,27 @@ def check_brokers_users():
         sys.exit(f"RabbitMQ's users: {told}")
 
 
+def check_kafkas_users():
+    """Every user of Kafka has rights, and those of a gateway are about what begins with its id. What the server makes of them is
+    tested in tests/brokers."""
+    told = subprocess.run(["bash", ROOT / "deploy/cluster/kafka-rights", "echo"], check=True, capture_output=True, text=True,
+                          timeout=60).stdout.splitlines()
+    rules = {}
+    for line in told:
+        words = line.split()
+        rules.setdefault(words[words.index("--allow-principal") + 1].removeprefix("User:"), []).append(words)
+    if set(rules) != set(cluster.KAFKA_USERS):
+        sys.exit(f"kafka-rights is about {sorted(rules)}, and the users are {sorted(cluster.KAFKA_USERS)}")
+    for gateway in cluster.GATEWAYS:
+        named = [word for words in rules[gateway] for at, word in enumerate(words) if words[at - 1] in ("--topic", "--group")]
+        patterns = {words[words.index("--resource-pattern-type") + 1] for words in rules[gateway]}
+        if set(named) != {f"{gateway}."} or patterns != {"prefixed"} or "--cluster" in sum(rules[gateway], []):
+            sys.exit(f"kafka-rights: {gateway} has {rules[gateway]}")
+    topics = {words[at + 1] for words in rules["workers"] for at, word in enumerate(words) if word == "--topic"}
+    if topics != {f"{gateway}." for gateway in cluster.GATEWAYS}:
+        sys.exit(f"kafka-rights: workers reach {topics}")
+
+
 def check_renewal():
     """A file that changed is another one in the folder that a container has mounted, and others stay as they are."""
     with tempfile.TemporaryDirectory() as work:
@@ -213,6 +235,9 @@ def check_renewal():
         before = {file.name: file.stat().st_ino for file in mounted.iterdir()}
         if set(before) != set(cluster.FILES["gateway-1"]) or mounted.stat().st_mode & 0o777 != 0o700:
             sys.exit(f"gateway-1 has {before}")
+        readable = {service for service in cluster.FILES if (folder / service).stat().st_mode & 0o077}
+        if readable != cluster.READ_BY_A_USER_OF_THE_IMAGE:
+            sys.exit(f"others than their owner may read the secrets of {sorted(readable)}")
         (folder / "authority/gateway-1.pem").write_text("renewed", encoding="utf-8")
         cluster.distribute(folder)
         if (mounted / "host.pem").read_text(encoding="utf-8") != "renewed":
@@ -248,6 +273,7 @@ def main():
     check_that_it_finds(file)
     check_down(file)
     check_brokers_users()
+    check_kafkas_users()
     check_renewal()
     print(f"{len(file['services'])} services keep the promises")
 

@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private Kafka for tests and benchmarks, on loopback only, that leaves nothing behind.
 
-    kafka.py --dir DIR [--port N] [--partitions N] [--tls] [--throughput] [--acls] [--listener PORT:ADVERTISED]...
+    kafka.py --dir DIR [--port N] [--partitions N] [--tls] [--throughput] [--acls] [--users] [--listener PORT:ADVERTISED]...
 
 Runs one node (KRaft: broker and controller in one JVM) with its data and log below DIR, on free ports. Its jars come
 from Maven Central (maven_jars.py). Topics are made when they are first used, with --partitions partitions (default 1).
@@ -29,11 +29,13 @@ Data of an earlier run in DIR are kept. What was confirmed survives `kill`: the 
 With --listener it also listens on PORT, and whoever comes there is told to go on at the port ADVERTISED: that of a proxy.
 
 With --tls the URL is kafkas://localhost:PORT: the server wants a client certificate, and user and password (SASL PLAIN;
-certificates.py; the files are in DIR).
+certificates.py; the files are in DIR). With --users it has the users of docker-compose.yml, each with the password `sesame` and
+with the rights that it has there; `READY` comes when they have them.
 """
 import os
 import struct
 import subprocess
+import sys
 import time
 
 import certificates
@@ -46,15 +48,20 @@ METADATA, SASL_HANDSHAKE, DESCRIBE_ACLS, CREATE_ACLS, DELETE_ACLS, SASL_AUTHENTI
 ANY, TOPIC, LITERAL = 1, 2, 3
 ALL, WRITE = 2, 4
 DENY, ALLOW = 2, 3
+CLUSTER = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", "deploy", "cluster"))
+PASSWORD_OF_USERS = "sesame"
 
 
 class Kafka(private_server.Server):
     name = "Kafka"
 
-    def __init__(self, folder, port, partitions, tls, jvm=private_server.QUICK_START, listeners=(), acls=False):
-        """`listeners`: (port, advertised port) of those beside the clients' own. `acls`: forbid() and permit() work."""
+    def __init__(self, folder, port, partitions, tls, jvm=private_server.QUICK_START, listeners=(), acls=False,
+                 users=False):
+        """`listeners`: (port, advertised port) of those beside the clients' own. `acls`: forbid() and permit() work.
+        `users`: those of docker-compose.yml."""
         super().__init__(folder)
         self.acls = acls
+        self.users = self.write_users() if users else None
         self.jvm = jvm
         self.listeners = listeners
         self.class_path = maven_jars.fetch("kafka")
@@ -70,13 +77,13 @@ class Kafka(private_server.Server):
         (kafka_cluster.py)."""
         copies = len(controllers)
         self.peers = copies  # number of nodes that this one must see before it is ready
-        protocol = "SASL_SSL" if self.certificates else "PLAINTEXT"
+        protocol = "SASL_SSL" if self.certificates else "SASL_PLAINTEXT" if self.users else "PLAINTEXT"
         more = ["LINK%d" % number for number in range(len(self.listeners))]
         self.config = self.write("server.properties", [
             "process.roles=broker,controller", "node.id=%d" % number,
             "controller.quorum.voters=" + ",".join("%d@127.0.0.1:%d" % item for item in controllers.items()),
             "controller.listener.names=CONTROLLER", "inter.broker.listener.name=CLIENT",
-            "listener.security.protocol.map=CONTROLLER:PLAINTEXT," + ",".join(
+            "listener.security.protocol.map=CONTROLLER:%s," % ("SASL_PLAINTEXT" if self.users else "PLAINTEXT") + ",".join(
                 "%s:%s" % (name, protocol) for name in ["CLIENT", *more]),
             ",".join(["listeners=CLIENT://127.0.0.1:%d" % self.port, "CONTROLLER://127.0.0.1:%d" % self.controller_port] + [
                 "%s://127.0.0.1:%d" % (name, port) for name, (port, _) in zip(more, self.listeners)]),
@@ -103,7 +110,34 @@ class Kafka(private_server.Server):
             "log.segment.bytes=67108864", "log.index.size.max.bytes=1048576", "auto.include.jmx.reporter=false",
             "metadata.max.idle.interval.ms=0"] + (self.security() if self.certificates else []) + (
                 ["authorizer.class.name=org.apache.kafka.metadata.authorizer.StandardAuthorizer",
-                 "allow.everyone.if.no.acl.found=true"] if self.acls else []))
+                 "allow.everyone.if.no.acl.found=true"] if self.acls else []) + (self.shipped_users() if self.users else []))
+
+    def write_users(self):
+        """The users of docker-compose.yml. Returns the user as which this script asks, and his password."""
+        sys.path.insert(0, CLUSTER)
+        import cluster  # pylint: disable=import-outside-toplevel
+        passwords = dict.fromkeys([*cluster.KAFKA_USERS, cluster.KAFKA_ADMINISTRATOR], PASSWORD_OF_USERS)
+        self.write("server.jaas", [cluster.kafka_users(passwords)])
+        self.write("admin.properties", [cluster.kafka_administrator(passwords)])
+        return cluster.KAFKA_ADMINISTRATOR, PASSWORD_OF_USERS
+
+    def shipped_users(self):
+        """What docker-compose.yml says of them."""
+        import yaml  # pylint: disable=import-outside-toplevel
+        with open(os.path.join(CLUSTER, "..", "..", "docker-compose.yml"), encoding="utf-8") as file:
+            said = yaml.safe_load(file)["services"]["kafka"]["environment"]
+        return ["%s=%s" % (name[len("KAFKA_"):].lower().replace("_", "."), value) for name, value in said.items()
+                if name.startswith(("KAFKA_SASL_", "KAFKA_AUTHORIZER_", "KAFKA_SUPER_", "KAFKA_ALLOW_"))]
+
+    def start(self):
+        answer = super().start()
+        if self.users:
+            with open(self.log(), "ab") as log:
+                subprocess.run(["bash", os.path.join(CLUSTER, "kafka-rights"), *self.java(
+                    "kafka.admin.AclCommand", "--bootstrap-server", "127.0.0.1:%d" % self.port, "--command-config",
+                    self.path("admin.properties"))], env=self.environment(), cwd=self.folder, stdin=subprocess.DEVNULL,
+                               stdout=log, stderr=log, check=True, timeout=private_server.START_LIMIT_S)
+        return answer
 
     def security(self):
         user = {"user": certificates.USER, "password": certificates.PASSWORD}
@@ -125,7 +159,9 @@ class Kafka(private_server.Server):
                 "-cp", self.class_path, main, *arguments]
 
     def command(self):
-        return self.java("kafka.Kafka", self.config)
+        users = ["-Djava.security.auth.login.config=" + self.path("server.jaas")] if self.users else []
+        java, *words = self.java("kafka.Kafka", self.config)
+        return [java, *users, *words]
 
     def environment(self):
         return private_server.java_environment()
@@ -147,10 +183,11 @@ class Kafka(private_server.Server):
         """The port opens early; the node serves once its metadata name itself (and its peers) as living brokers."""
         with self.connect(self.port) as probe:
             probe.settimeout(2)
-            if self.certificates:
+            user = (certificates.USER, certificates.PASSWORD) if self.certificates else self.users
+            if user:
                 # SaslHandshake v1, SaslAuthenticate v0
                 self.ask(probe, SASL_HANDSHAKE, 1, text("PLAIN"))
-                token = "\0%s\0%s" % (certificates.USER, certificates.PASSWORD)
+                token = "\0%s\0%s" % user
                 self.ask(probe, SASL_AUTHENTICATE, 0, struct.pack(">i", len(token)) + token.encode())
             brokers = self.ask(probe, METADATA, 1, struct.pack(">i", 0))  # of no topic
             return struct.unpack_from(">i", brokers)[0] == self.peers
@@ -270,9 +307,10 @@ def main():
     parser.add_argument("--listener", action="append", default=[], metavar="PORT:ADVERTISED",
                         type=lambda word: tuple(map(int, word.split(":"))), help="another listener, for a proxy")
     parser.add_argument("--acls", action="store_true", help="permission to write can be taken away: forbid, permit")
+    parser.add_argument("--users", action="store_true", help="those of docker-compose.yml, with their rights")
     given = parser.parse_args()
     private_server.run(lambda: Kafka(given.dir, given.port, given.partitions, given.tls, given.jvm, given.listener,
-                                     given.acls))
+                                     given.acls, given.users))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,274 @@
+// What the users of docker-compose.yml may do at Kafka, and what the thief of one gateway's user tries there.
+#include <array>
+#include <chrono>
+#include <cstddef>
+#include <cstdint>
+#include <fstream>
+#include <functional>
+#include <initializer_list>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <librdkafka/rdkafka.h>
+
+#include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/captured_log.h"
+#include "iotcloud/tests/servers/private_server.h"
+
+namespace iotcloud::brokers {
+namespace {
+
+constexpr const char* password = "sesame";  // of all users (tests/servers/kafka.py)
+constexpr const char* not_for_topic = "TOPIC_AUTHORIZATION_FAILED";
+constexpr const char* not_for_group = "GROUP_AUTHORIZATION_FAILED";
+constexpr const char* not_for_cluster = "CLUSTER_AUTHORIZATION_FAILED";
+constexpr int limit_ms = 60'000;
+
+struct Destroy {
+  void operator()(rd_kafka_t* handle) const { rd_kafka_destroy(handle); }
+  void operator()(rd_kafka_topic_t* topic) const { rd_kafka_topic_destroy(topic); }
+  void operator()(rd_kafka_topic_partition_list_t* list) const { rd_kafka_topic_partition_list_destroy(list); }
+  void operator()(rd_kafka_message_t* message) const { rd_kafka_message_destroy(message); }
+  void operator()(rd_kafka_queue_t* queue) const { rd_kafka_queue_destroy(queue); }
+  void operator()(rd_kafka_event_t* event) const { rd_kafka_event_destroy(event); }
+  void operator()(rd_kafka_NewTopic_t* topic) const { rd_kafka_NewTopic_destroy(topic); }
+  void operator()(rd_kafka_DeleteTopic_t* topic) const { rd_kafka_DeleteTopic_destroy(topic); }
+  void operator()(rd_kafka_AclBinding_t* binding) const { rd_kafka_AclBinding_destroy(binding); }
+};
+template <typename T>
+using Owned = std::unique_ptr<T, Destroy>;
+
+std::string text_of(rd_kafka_resp_err_t error) {
+  return error == RD_KAFKA_RESP_ERR_NO_ERROR ? "ok" : rd_kafka_err2name(error);
+}
+
+/// A bare client, which may do anything that its user may. Each attempt has a client of its own.
+class Attempts {
+ public:
+  Attempts(std::string url, std::string user) : server_(url.substr(url.find("//") + 2)), user_(std::move(user)) {}
+
+  /// What the server says to each: "ok", or why not.
+  std::string publish(const std::string& topic) const {
+    std::string answer = "no answer";
+    const auto client = make(RD_KAFKA_PRODUCER, {{"message.timeout.ms", "60000"}}, &answer);
+    const Owned<rd_kafka_topic_t> to(rd_kafka_topic_new(client.get(), topic.c_str(), nullptr));
+    std::string body = "forged";
+    if (rd_kafka_produce(to.get(), RD_KAFKA_PARTITION_UA, RD_KAFKA_MSG_F_COPY, body.data(), body.size(), nullptr, 0,
+                         nullptr) != 0) {
+      return text_of(rd_kafka_last_error());
+    }
+    rd_kafka_flush(client.get(), limit_ms);
+    return answer;
+  }
+  /// Reads partition 0 from its beginning, in no group that others have.
+  std::string read(const std::string& topic) const {
+    const auto client = make(RD_KAFKA_CONSUMER, {{"group.id", user_ + ".unused"}, {"enable.partition.eof", "true"}});
+    const Owned<rd_kafka_topic_partition_list_t> list(rd_kafka_topic_partition_list_new(1));
+    rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), 0)->offset = RD_KAFKA_OFFSET_BEGINNING;
+    rd_kafka_assign(client.get(), list.get());
+    return first_news(client.get());
+  }
+  /// Asks what partitions it has; who is not told cannot even ask for its records.
+  std::string look_at(const std::string& topic) const {
+    const auto client = make(RD_KAFKA_PRODUCER, {});
+    const Owned<rd_kafka_topic_t> handle(rd_kafka_topic_new(client.get(), topic.c_str(), nullptr));
+    const rd_kafka_metadata_t* found = nullptr;
+    const auto error = rd_kafka_metadata(client.get(), 0, handle.get(), &found, limit_ms);
+    if (error != RD_KAFKA_RESP_ERR_NO_ERROR) return text_of(error);
+    const std::string answer = found->topic_cnt == 1 ? text_of(found->topics[0].err) : "no such topic";
+    rd_kafka_metadata_destroy(found);
+    return answer;
+  }
+  std::string join(const std::string& group, const std::string& topic) const {
+    const auto client = make(RD_KAFKA_CONSUMER, {{"group.id", group},
+                                                 {"auto.offset.reset", "earliest"},
+                                                 {"enable.partition.eof", "true"}});
+    const Owned<rd_kafka_topic_partition_list_t> list(rd_kafka_topic_partition_list_new(1));
+    rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
+    rd_kafka_subscribe(client.get(), list.get());
+    const std::string answer = first_news(client.get());
+    rd_kafka_consumer_close(client.get());
+    return answer;
+  }
+  std::string make_topic(const std::string& name) const {
+    std::array<char, 512> problem{};
+    const Owned<rd_kafka_NewTopic_t> topic(rd_kafka_NewTopic_new(name.c_str(), 1, 1, problem.data(), problem.size()));
+    auto* const which = topic.get();
+    return ask([&](rd_kafka_t* client, rd_kafka_queue_t* queue) {
+      std::array topics{which};
+      rd_kafka_CreateTopics(client, topics.data(), 1, nullptr, queue);
+    });
+  }
+  std::string remove_topic(const std::string& name) const {
+    const Owned<rd_kafka_DeleteTopic_t> topic(rd_kafka_DeleteTopic_new(name.c_str()));
+    return ask([&](rd_kafka_t* client, rd_kafka_queue_t* queue) {
+      std::array topics{topic.get()};
+      rd_kafka_DeleteTopics(client, topics.data(), 1, nullptr, queue);
+    });
+  }
+  /// Gives its own user all rights to a topic.
+  std::string take_rights(const std::string& topic) const {
+    std::array<char, 512> problem{};
+    const Owned<rd_kafka_AclBinding_t> rule(
+        rd_kafka_AclBinding_new(RD_KAFKA_RESOURCE_TOPIC, topic.c_str(), RD_KAFKA_RESOURCE_PATTERN_LITERAL,
+                                ("User:" + user_).c_str(), "*", RD_KAFKA_ACL_OPERATION_ALL,
+                                RD_KAFKA_ACL_PERMISSION_TYPE_ALLOW, problem.data(), problem.size()));
+    return ask([&](rd_kafka_t* client, rd_kafka_queue_t* queue) {
+      std::array rules{rule.get()};
+      rd_kafka_CreateAcls(client, rules.data(), 1, nullptr, queue);
+    });
+  }
+
+ private:
+  using Settings = std::initializer_list<std::pair<const char*, std::string>>;
+
+  static void on_report(rd_kafka_t*, const rd_kafka_message_t* message, void* answer) {
+    *static_cast<std::string*>(answer) = text_of(message->err);
+  }
+  Owned<rd_kafka_t> make(rd_kafka_type_t type, Settings more, std::string* answer = nullptr) const {
+    rd_kafka_conf_t* const settings = rd_kafka_conf_new();
+    std::array<char, 512> problem{};
+    const auto set = [&](const char* name, const std::string& value) {
+      EXPECT_EQ(rd_kafka_conf_set(settings, name, value.c_str(), problem.data(), problem.size()), RD_KAFKA_CONF_OK)
+          << problem.data();
+    };
+    set("bootstrap.servers", server_);
+    set("security.protocol", "sasl_plaintext");
+    set("sasl.mechanisms", "PLAIN");
+    set("sasl.username", user_);
+    set("sasl.password", password);
+    for (const auto& [name, value] : more) set(name, value);
+    if (answer != nullptr) {
+      rd_kafka_conf_set_dr_msg_cb(settings, on_report);
+      rd_kafka_conf_set_opaque(settings, answer);
+    }
+    return Owned<rd_kafka_t>(rd_kafka_new(type, settings, problem.data(), problem.size()));
+  }
+  /// "ok": a message, or the end of a partition.
+  static std::string first_news(rd_kafka_t* client) {
+    rd_kafka_poll_set_consumer(client);
+    const Owned<rd_kafka_message_t> message(rd_kafka_consumer_poll(client, limit_ms));
+    if (!message) return "no answer";
+    return message->err == RD_KAFKA_RESP_ERR__PARTITION_EOF ? "ok" : text_of(message->err);
+  }
+  /// Has a request of an administrator answered.
+  std::string ask(const std::function<void(rd_kafka_t*, rd_kafka_queue_t*)>& request) const {
+    const auto client = make(RD_KAFKA_PRODUCER, {});
+    const Owned<rd_kafka_queue_t> queue(rd_kafka_queue_new(client.get()));
+    request(client.get(), queue.get());
+    const Owned<rd_kafka_event_t> event(rd_kafka_queue_poll(queue.get(), limit_ms));
+    if (!event) return "no answer";
+    if (const auto error = rd_kafka_event_error(event.get()); error != RD_KAFKA_RESP_ERR_NO_ERROR)
+      return text_of(error);
+    std::size_t count = 0;
+    if (const auto* made = rd_kafka_event_CreateTopics_result(event.get()))
+      return text_of(rd_kafka_topic_result_error(rd_kafka_CreateTopics_result_topics(made, &count)[0]));
+    if (const auto* removed = rd_kafka_event_DeleteTopics_result(event.get()))
+      return text_of(rd_kafka_topic_result_error(rd_kafka_DeleteTopics_result_topics(removed, &count)[0]));
+    const auto* rules = rd_kafka_event_CreateAcls_result(event.get());
+    return rules == nullptr
+               ? "another answer"
+               : text_of(rd_kafka_error_code(rd_kafka_acl_result_error(rd_kafka_CreateAcls_result_acls(rules, &count)[0])));
+  }
+
+  const std::string server_, user_;
+};
+
+class KafkaUsers : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    server_ = new tests::PrivateServer("kafka.py", {"--users", "--partitions", "2"});
+    std::ofstream(password_file()) << password << '\n';
+  }
+  static void TearDownTestSuite() { delete std::exchange(server_, nullptr); }
+  static std::string password_file() { return (server_->folder() / "password").string(); }
+
+  static BrokerOptions options_of(const std::string& user) {
+    BrokerOptions options;
+    options.urls = {server_->url()};
+    options.user = user;
+    options.password_file = password_file();
+    return options;
+  }
+  static tests::PrivateServer* server_;
+};
+tests::PrivateServer* KafkaUsers::server_ = nullptr;
+
+TEST_F(KafkaUsers, GatewaysAndWorkersGetEachOthersMessages) {
+  const auto gateway = make_broker(options_of("gateway-1")), workers = make_broker(options_of("workers"));
+  const Topic data{"", "gateway-1.turtle.data", false}, control{"", "gateway-1.turtle.control", false};
+  Inbox at_workers, at_gateway;
+  const auto sends_data = gateway->publisher(data, {}), sends_control = workers->publisher(control, {});
+  std::vector<std::unique_ptr<Subscription>> read;
+  for (const std::int32_t partition : {0, 1}) {  // as a topology's tasks do
+    SubscriptionOptions of_task;
+    of_task.group = "echo";
+    of_task.partition = partition;
+    read.push_back(workers->subscribe(data, of_task, at_workers.handler()));
+  }
+  read.push_back(gateway->subscribe(control, {}, at_gateway.handler()));
+  for (const auto& body : numbered(1, 3)) EXPECT_EQ(sends_data->publish(text_message(body)), PublishStatus::accepted);
+  for (const auto& body : numbered(4, 6)) EXPECT_EQ(sends_control->publish(text_message(body)), PublishStatus::accepted);
+  EXPECT_TRUE(at_workers.wait_for(3));
+  EXPECT_TRUE(at_gateway.wait_for(3));
+  EXPECT_THAT(at_workers.bodies(), testing::ElementsAre("1", "2", "3"));
+  EXPECT_THAT(at_gateway.bodies(), testing::ElementsAre("4", "5", "6"));
+}
+
+TEST_F(KafkaUsers, TheThiefOfAGatewayNeitherSendsAsAnotherOneNorReadsItsMessages) {
+  const std::string own = "gateway-1.turtle.mine", foreign = "gateway-2.turtle.data";
+  const Attempts thief(server_->url(), "gateway-1"), other(server_->url(), "gateway-2");
+  EXPECT_EQ(other.publish(foreign), "ok");
+  EXPECT_EQ(thief.publish(own), "ok");
+  EXPECT_EQ(thief.look_at(own), "ok");
+  EXPECT_EQ(thief.read(own), "ok");
+  EXPECT_EQ(thief.join(own, own), "ok");
+
+  EXPECT_EQ(thief.publish(foreign), not_for_topic);
+  EXPECT_EQ(thief.look_at(foreign), not_for_topic);
+  EXPECT_EQ(thief.join(own, foreign), not_for_topic);
+  for (const auto& group : {"gateway-2.turtle.data", "echo", "echo#1", "gateway-1"})
+    EXPECT_EQ(thief.join(group, own), not_for_group) << group;
+  for (const auto& topic : {"gateway-2.new", "gateway-10.new", "gateway-1", "anything", "__consumer_offsets"})
+    EXPECT_EQ(thief.publish(topic), not_for_topic) << topic;
+  EXPECT_EQ(thief.make_topic("gateway-2.new"), not_for_topic);
+  EXPECT_EQ(thief.remove_topic(foreign), not_for_topic);
+  EXPECT_EQ(thief.take_rights(foreign), not_for_cluster);
+  EXPECT_EQ(other.read(foreign), "ok") << "it is there still";
+}
+
+TEST_F(KafkaUsers, WorkersReachTheGatewaysTopicsOnly) {
+  const Attempts workers(server_->url(), "workers");
+  for (const auto& topic : {"gateway-1.turtle.echo", "gateway-2.turtle.echo"}) {
+    EXPECT_EQ(workers.publish(topic), "ok");
+    EXPECT_EQ(workers.join("echo", topic), "ok");
+    EXPECT_EQ(workers.join("echo#1", topic), "ok");
+    EXPECT_EQ(workers.join("other", topic), not_for_group);
+    EXPECT_EQ(workers.remove_topic(topic), not_for_topic);
+  }
+  EXPECT_EQ(workers.publish("gateway-3.turtle.echo"), not_for_topic);
+  EXPECT_EQ(workers.take_rights("gateway-3.turtle.echo"), not_for_cluster);
+}
+
+TEST_F(KafkaUsers, NobodyGetsInWithoutAPasswordOrWithAWrongOne) {
+  BrokerOptions wrong = options_of("gateway-1");
+  wrong.password_file = (server_->folder() / "wrong").string();
+  std::ofstream(wrong.password_file) << "guessed\n";
+  BrokerOptions nobody = options_of("");
+  nobody.password_file.clear();
+  for (const auto& options : {wrong, nobody}) {
+    const tests::CapturedLog log;
+    const auto broker = make_broker(options);
+    const auto publisher = broker->publisher({"", "gateway-1.turtle.data", false}, {});
+    publisher->publish(text_message("x"));
+    EXPECT_TRUE(eventually([&] { return log.contains("cannot connect"); }, patience)) << log.text();
+    EXPECT_FALSE(publisher->drain(moment));
+  }
+}
+
+}  // namespace
+}  // namespace iotcloud::brokers
