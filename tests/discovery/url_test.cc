@@ -27,13 +27,17 @@ TEST(RegistryUrl, AServerThatOtherMachinesReachNeedsAUser) {
   for (const char* url : {"zookeeper://192.0.2.1", "zookeeper://127.0.0.1:2181,192.0.2.1:2181/x",
                           "zookeeper://zk1:2181", "zookeeper://[2001:db8::1]:2181"}) {
     options.url = url;
-    try {
-      make_registry(options);
-      ADD_FAILURE() << url << ": anybody there could give orders";
-    } catch (const config::Error& error) {
-      EXPECT_THAT(error.what(), HasSubstr("registry.user"));
+    for (const bool meant : {false, true}) {
+      options.open = meant;
+      try {
+        make_registry(options);
+        ADD_FAILURE() << url << ": anybody there could give orders";
+      } catch (const config::Error& error) {
+        EXPECT_THAT(error.what(), HasSubstr("registry.user"));
+      }
     }
   }
+  options.open = false;
   for (const char* url : {"zookeeper://127.0.0.1:1", "zookeeper://localhost:1,[::1]:1/x"}) {
     options.url = url;
     EXPECT_TRUE(make_registry(options)) << url;
