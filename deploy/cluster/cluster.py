@@ -44,7 +44,7 @@ def own_pages(name):
 # What each service finds in /run/secrets, and whence: a file of the folder `authority`.
 FILES = {
     "registry-tls": host_files("registry-tls"),
-    "rabbitmq": {"users.json": "rabbitmq.users.json"},
+    "rabbitmq": {**host_files("rabbitmq"), "users.json": "rabbitmq.users.json"},
     "kafka": {"server.jaas": "kafka.server.jaas", "admin.properties": "kafka.admin.properties"},
     **{name: {**host_files(name), **ORDER_KEYS, "masters.tokens": "masters.tokens", "orders.key": f"{name}.orders.key",
               "pages.token": f"{name}.pages.token", **own_pages(name), "registry.users": "registry.users",
@@ -297,7 +297,7 @@ def make_secrets(docker):
             raise Refused(f"iotcloud {' '.join(words)}: {done.stderr.strip()}")
         return done.stdout.strip()
 
-    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "prometheus"]))
+    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "rabbitmq", "prometheus"]))
     write_secret(fresh, "admin.token",  # a person's
                  iotcloud("token", "add", "admin", "--role", "admin", "--file", "/secrets/masters.tokens"))
     for master in MASTERS:
@@ -448,6 +448,9 @@ def certs(given):
     running = sorted(set(docker.containers()) & {*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "prometheus"})
     if running:
         asked(docker.compose("kill", "-s", "HUP", *running))
+    if "rabbitmq" in docker.containers():
+        asked(docker.compose("exec", "-T", "rabbitmq", "bash", "/etc/iotcloud/rabbitmq-certificate", "renewed"))
+        running.append("rabbitmq")
     say(f"given to {len(running)} containers, which go on with them")
 
 

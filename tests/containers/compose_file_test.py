@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """docker-compose.yml keeps its promises: no service without limits, health check and restart policy, nothing on the host's
-network or privileged, no secret in the file, ports on loopback only, nothing said to ZooKeeper without TLS.
+network or privileged, no secret in the file, ports on loopback only, nothing said to ZooKeeper and RabbitMQ without TLS, nor to a
+broker without a user.
 
 usage: compose_file_test.py
 """
@@ -92,6 +93,11 @@ def problems_of_configurations():
         found = re.findall(r"(?:zookeeper://|zk.servers: \[\")([^\"]*)", file.read_text(encoding="utf-8"))
         if found != ["127.0.0.1:2181"]:
             yield f"{file.name} has the registry {found}, not its tunnel"
+        for name, broker in yaml.safe_load(file.read_text(encoding="utf-8")).get("brokers", {}).items():
+            if not broker.get("user") or not broker.get("password_file", "").startswith("/run/secrets/"):
+                yield f"{file.name} comes to {name} without a user and a password of its own"
+            if name == "rabbitmq" and (not broker["urls"][0].startswith("amqps://") or not broker.get("tls", {}).get("ca")):
+                yield f"{file.name} comes to {name} without TLS"
     expected = directives(ROOT / "deploy/systemd/registry-tunnel.conf") - {"connect = zk1:2281", "checkHost = zk1"}
     expected = {line.replace("/etc/iotcloud/lab1", "/run/secrets/host").replace("/etc/iotcloud", "/run/secrets") for line in expected}
     expected |= {"connect = registry-tls:2281", "checkHost = registry-tls", "delay = yes"}

@@ -84,9 +84,8 @@ class Attempts {
     return answer;
   }
   std::string join(const std::string& group, const std::string& topic) const {
-    const auto client = make(RD_KAFKA_CONSUMER, {{"group.id", group},
-                                                 {"auto.offset.reset", "earliest"},
-                                                 {"enable.partition.eof", "true"}});
+    const auto client = make(
+        RD_KAFKA_CONSUMER, {{"group.id", group}, {"auto.offset.reset", "earliest"}, {"enable.partition.eof", "true"}});
     const Owned<rd_kafka_topic_partition_list_t> list(rd_kafka_topic_partition_list_new(1));
     rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
     rd_kafka_subscribe(client.get(), list.get());
@@ -113,10 +112,9 @@ class Attempts {
   /// Gives its own user all rights to a topic.
   std::string take_rights(const std::string& topic) const {
     std::array<char, 512> problem{};
-    const Owned<rd_kafka_AclBinding_t> rule(
-        rd_kafka_AclBinding_new(RD_KAFKA_RESOURCE_TOPIC, topic.c_str(), RD_KAFKA_RESOURCE_PATTERN_LITERAL,
-                                ("User:" + user_).c_str(), "*", RD_KAFKA_ACL_OPERATION_ALL,
-                                RD_KAFKA_ACL_PERMISSION_TYPE_ALLOW, problem.data(), problem.size()));
+    const Owned<rd_kafka_AclBinding_t> rule(rd_kafka_AclBinding_new(
+        RD_KAFKA_RESOURCE_TOPIC, topic.c_str(), RD_KAFKA_RESOURCE_PATTERN_LITERAL, ("User:" + user_).c_str(), "*",
+        RD_KAFKA_ACL_OPERATION_ALL, RD_KAFKA_ACL_PERMISSION_TYPE_ALLOW, problem.data(), problem.size()));
     return ask([&](rd_kafka_t* client, rd_kafka_queue_t* queue) {
       std::array rules{rule.get()};
       rd_kafka_CreateAcls(client, rules.data(), 1, nullptr, queue);
@@ -170,9 +168,9 @@ class Attempts {
     if (const auto* removed = rd_kafka_event_DeleteTopics_result(event.get()))
       return text_of(rd_kafka_topic_result_error(rd_kafka_DeleteTopics_result_topics(removed, &count)[0]));
     const auto* rules = rd_kafka_event_CreateAcls_result(event.get());
-    return rules == nullptr
-               ? "another answer"
-               : text_of(rd_kafka_error_code(rd_kafka_acl_result_error(rd_kafka_CreateAcls_result_acls(rules, &count)[0])));
+    return rules == nullptr ? "another answer"
+                            : text_of(rd_kafka_error_code(
+                                  rd_kafka_acl_result_error(rd_kafka_CreateAcls_result_acls(rules, &count)[0])));
   }
 
   const std::string server_, user_;
@@ -212,7 +210,8 @@ TEST_F(KafkaUsers, GatewaysAndWorkersGetEachOthersMessages) {
   }
   read.push_back(gateway->subscribe(control, {}, at_gateway.handler()));
   for (const auto& body : numbered(1, 3)) EXPECT_EQ(sends_data->publish(text_message(body)), PublishStatus::accepted);
-  for (const auto& body : numbered(4, 6)) EXPECT_EQ(sends_control->publish(text_message(body)), PublishStatus::accepted);
+  for (const auto& body : numbered(4, 6))
+    EXPECT_EQ(sends_control->publish(text_message(body)), PublishStatus::accepted);
   EXPECT_TRUE(at_workers.wait_for(3));
   EXPECT_TRUE(at_gateway.wait_for(3));
   EXPECT_THAT(at_workers.bodies(), testing::ElementsAre("1", "2", "3"));
