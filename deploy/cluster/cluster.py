@@ -444,13 +444,14 @@ def certs(given):
     if done.returncode:
         raise Refused(f"iotcloud certs {given.verb} failed with status {done.returncode}")
     distribute(SECRETS)
-    # Daemons look by themselves within seconds; the tunnels read their files again only when they are told.
-    running = sorted(set(docker.containers()) & {*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "prometheus"})
-    if running:
-        asked(docker.compose("kill", "-s", "HUP", *running))
-    if "rabbitmq" in docker.containers():
-        asked(docker.compose("exec", "-T", "rabbitmq", "bash", "/etc/iotcloud/rabbitmq-certificate", "renewed"))
-        running.append("rabbitmq")
+    # Daemons look by themselves within seconds; the tunnels read their files again only when they are told. They are told from
+    # inside: a container that `docker kill` has sent a signal, whichever, is not started again when it dies later.
+    told = {**dict.fromkeys([*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "prometheus"], ["sh", "-c", "kill -HUP 1"]),
+            "rabbitmq": ["bash", "/etc/iotcloud/rabbitmq-certificate", "renewed"]}
+    running = {service: container["Id"] for service, container in docker.containers().items()
+               if service in told and container["State"]["Running"]}
+    for service, container in sorted(running.items()):
+        asked(["docker", "exec", container, *told[service]])
     say(f"given to {len(running)} containers, which go on with them")
 
 

@@ -284,7 +284,7 @@ def check_renewal(cluster):
     cluster.dev("certs", "revoke", "topology-2", quiet=True)
     wait_for("the masters do not speak with the worker whose certificate is revoked", lambda: not all_are_read(), HEAL_LIMIT_S)
     wait_until_settled(cluster, sent_so_far(cluster), "a worker's certificate was revoked")
-    cluster.dev("certs", "renew", "topology-2", "prometheus", quiet=True)
+    cluster.dev("certs", "renew", "topology-2", "--new-key", quiet=True)
     wait_for("the masters read the page of the one with another certificate", all_are_read, HEAL_LIMIT_S)
     wait_until_settled(cluster, sent_so_far(cluster), "it got another one")
     after = {service: cluster.inspect(service)["State"]["StartedAt"] for service in SHOWN_AT}

@@ -253,6 +253,23 @@ def check_renewal():
             sys.exit(f"files changed beside the certificate: {before} {after}")
 
 
+def check_that_renewal_is_told(file):
+    """`./dev cluster certs` tells every service that has a certificate, from inside of its container: one that `docker kill` has
+    sent any signal is not started again when it dies later."""
+    commands = []
+    holders = {name for name in SERVICES & set(file["services"]) if "host.pem" in cluster.FILES.get(name, {})}
+    containers = {name: {"Id": f"id-of-{name}", "State": {"Running": True}} for name in SERVICES}
+    docker = types.SimpleNamespace(containers=lambda: containers, once=lambda *_: [], compose=lambda *words: ["compose", *words])
+    with tempfile.TemporaryDirectory() as folder, \
+            mock.patch.multiple(cluster, Docker=lambda: docker, run=lambda *_, **__: types.SimpleNamespace(returncode=0),
+                                asked=commands.append, SECRETS=Path(folder), distribute=lambda _: None, say=lambda *_: None):
+        cluster.certs(types.SimpleNamespace(verb="renew", words=["gateway-1"]))
+    if {tuple(command[:2]) for command in commands} != {("docker", "exec")}:
+        sys.exit(f"`./dev cluster certs` tells of it by {commands}")
+    if {command[2].removeprefix("id-of-") for command in commands} != holders:
+        sys.exit(f"`./dev cluster certs` tells {commands}, and {sorted(holders)} have certificates")
+
+
 def check_down(file):
     """`./dev cluster down` takes the services of all profiles away."""
     profiles = {profile for service in file["services"].values() for profile in service.get("profiles", [])}
@@ -278,6 +295,7 @@ def main():
         sys.exit("docker-compose.yml: " + "; ".join(found))
     check_that_it_finds(file)
     check_down(file)
+    check_that_renewal_is_told(file)
     check_brokers_users()
     check_kafkas_users()
     check_renewal()
