@@ -148,6 +148,16 @@ def reachable(host):
         return False
 
 
+def password_of(broker):
+    return (PASSWORDS / f"{broker}.password").read_text().strip()
+
+
+def without_passwords(text):
+    for broker in DRIVERS:
+        text = text.replace(password_of(broker), "PASSWORD")
+    return text
+
+
 def main():
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     options.add_argument("--quick", action="store_true", help="two sizes, three rounds of 5 s")
@@ -157,7 +167,7 @@ def main():
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}", flush=True)
     sizes = {text: SIZES[text] for text in ("100 B", "60 KB")} if given.quick else SIZES
     how = (sizes, 3, 5, report) if given.quick else (sizes, 5, 10, report)
-    user = {broker: f"bench:{(PASSWORDS / f'{broker}.password').read_text().strip()}" for broker in DRIVERS}
+    user = {broker: f"bench:{password_of(broker)}" for broker in DRIVERS}
     with warm("rabbitmq"):
         measure("rabbitmq", "RabbitMQ", f"amqp://{user['rabbitmq']}@rabbitmq:5672/", "librabbitmq", *how)
     if reachable("kafka"):
@@ -176,4 +186,4 @@ if __name__ == "__main__":
     try:
         main()
     except ProgramFailed as failure:  # its text has the command line, whose URL has the password
-        sys.exit(str(failure).replace(PASSWORD.read_text().strip(), "PASSWORD"))
+        sys.exit(without_passwords(str(failure)))
