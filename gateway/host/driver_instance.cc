@@ -7,8 +7,10 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/drivers/channel_names.h>
+#include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/driver_instance.h>
 #include <iotcloud/gateway/host/logger.h>
+#include <iotcloud/gateway/host/outgoing_channel.h>
 
 namespace iotcloud::gateway {
 
@@ -40,27 +42,6 @@ void check_hang_limit(const drivers::PropertyMap& properties) {
                                   hang_limit_property, found->second));
 }
 
-/// Tells what became of a message that a person handed to the instance: settling its delivery is the answer.
-class HandedAnswer final : public brokers::Settler {
- public:
-  explicit HandedAnswer(std::function<void(std::string problem)> done) : done_(std::move(done)) {}
-  void settle(std::uint64_t, brokers::Settlement settlement) noexcept override try {
-    switch (settlement) {
-      case brokers::Settlement::accept:
-        return done_("");
-      case brokers::Settlement::reject:
-        return done_("the driver failed on the message; `iotcloud logs` says why");
-      case brokers::Settlement::retry:
-        return done_("the instance ended before its driver saw the message; send it again when the instance is active");
-    }
-  } catch (const std::exception& e) {
-    host_logger.error("nobody is told what became of a message by hand: {}", e.what());
-  }
-
- private:
-  const std::function<void(std::string problem)> done_;
-};
-
 }  // namespace
 
 struct DriverInstance::Incoming {
@@ -81,7 +62,8 @@ DriverInstance::DriverInstance(std::shared_ptr<HostEnvironment> environment, Ins
       loop_(std::move(loop)),
       number_(next_number()),
       hang_limit_(hang_limit_of(properties_)),
-      spec_(std::move(spec)) {
+      spec_(std::move(spec)),
+      channels_(*environment_, id_) {
   status_.instance = id_;
   status_.driver =
       spec_.order.driver.empty() ? discovery::DriverName(environment_->plugin->name()) : spec_.order.driver;
@@ -266,9 +248,7 @@ void DriverInstance::open_outgoing(const PlannedChannel& channel) {
     });
   };
   auto outgoing = std::make_unique<OutgoingChannel>(*environment_, id_, channel, std::move(events));
-  const config::WriteLock lock(channels_mutex_);
-  outgoing_.emplace(name, std::move(outgoing));
-  open_channels_[name] = {channel.record, environment_->brokers->get(channel.address, channel.broker)};
+  channels_.add_outgoing(channel, std::move(outgoing));
 }
 
 void DriverInstance::open_incoming(const PlannedChannel& channel) {
@@ -293,10 +273,7 @@ void DriverInstance::open_incoming(const PlannedChannel& channel) {
       });
   // Stored before it subscribes, so that close_now() finds it even if subscribing throws.
   auto& kept = *incoming_.emplace_back(std::move(incoming));
-  {
-    const config::WriteLock lock(channels_mutex_);
-    open_channels_[name] = {channel.record, kept.broker, kept.queue, kept.looks};
-  }
+  channels_.add_incoming(channel, kept.broker, kept.queue, kept.looks);
   if (channel.spec.shared) {
     if (environment_->isolated) {
       throw config::Error(
@@ -350,10 +327,7 @@ void DriverInstance::close_now(DriverState final_state, const std::string& reaso
 
 /// What the driver has not seen goes back to the broker, or waits for the instance's return on a shared channel.
 void DriverInstance::close_incoming() {
-  {
-    const config::WriteLock lock(channels_mutex_);
-    open_channels_.clear();
-  }
+  channels_.hide();
   for (auto& incoming : incoming_) {
     // First: an open subscription would get again at once what the closed queue gives back to the broker.
     incoming->subscription.reset();
@@ -406,12 +380,7 @@ void DriverInstance::drain_then_report(DriverState final_state, const std::strin
 void DriverInstance::end_outgoing(DriverState final_state, const std::string& reason,
                                   std::vector<std::pair<std::shared_ptr<brokers::Broker>, brokers::Topic>> unneeded,
                                   std::function<void()> closed) {
-  auto closing = std::make_shared<OutgoingChannels>();
-  {
-    const config::WriteLock lock(channels_mutex_);  // waits for running publish() calls
-    closing->swap(outgoing_);
-    open_channels_.clear();
-  }
+  const auto closing = std::make_shared<OpenChannels::Outgoing>(channels_.take_outgoing());
   // A failure is reported at once; an ordered end is reported after the channels are drained.
   const bool failed = final_state == DriverState::failed;
   if (failed) {
@@ -458,7 +427,8 @@ void DriverInstance::ask(ChannelQuestion question, const std::function<void(disc
     return;
   }
   discovery::ChannelLook answer;
-  look(question.look, answer);
+  add_state(answer);
+  channels_.look(question.look, answer);
   done(std::move(answer));
 }
 
@@ -468,116 +438,37 @@ void DriverInstance::add_state(discovery::ChannelLook& answer) const {
   answer.reason = now.reason;
 }
 
-ChannelQueue::Backlog DriverInstance::backlog_of(const std::string& name, const OpenChannel& channel) const {
-  if (channel.queue) return channel.queue->backlog(environment_->clock->now());
-  const auto outgoing = outgoing_.find(name);
-  return outgoing == outgoing_.end() ? ChannelQueue::Backlog{} : outgoing->second->backlog();
-}
-
 void DriverInstance::each_backlog(
     const std::function<void(const discovery::ChannelRecord&, const ChannelQueue::Backlog&)>& use) const {
-  const config::ReadLock lock(channels_mutex_);
-  for (const auto& [name, channel] : open_channels_) use(channel.record, backlog_of(name, channel));
-}
-
-std::vector<discovery::ChannelState> DriverInstance::channel_states() const {
-  std::vector<discovery::ChannelState> states;
-  const config::ReadLock lock(channels_mutex_);
-  for (const auto& [name, channel] : open_channels_) {
-    discovery::ChannelState state;
-    state.name = name;
-    state.direction = channel.record.direction;
-    state.shared = channel.record.shared;
-    state.broker = channel.record.transport;
-    state.url = brokers::printable_url(channel.record.broker_url);
-    state.broker_state = brokers::to_string(channel.broker->state());
-    state.broker_problem = channel.broker->problem();
-    const auto backlog = backlog_of(name, channel);
-    state.waiting = static_cast<std::int64_t>(backlog.waiting);
-    state.oldest_ms = backlog.oldest.count();
-    states.push_back(std::move(state));
-  }
-  return states;
-}
-
-std::string DriverInstance::unknown_channel(const std::string& name) const {
-  std::string known;
-  for (const auto& [other, channel] : open_channels_) {
-    known += fmt::format("{}\"{}\" ({})", known.empty() ? "" : ", ", other,
-                         channel.record.direction == discovery::Direction::out ? "out" : "in");
-  }
-  return fmt::format("instance {} has no channel \"{}\"; it has {}", id_, name, known.empty() ? "none" : known);
-}
-
-void DriverInstance::look(const discovery::LookRequest& request, discovery::ChannelLook& answer) {
-  add_state(answer);
-  answer.channels = channel_states();
-  if (request.channel.empty()) return;
-  const config::ReadLock lock(channels_mutex_);
-  const auto found = open_channels_.find(request.channel);
-  if (found == open_channels_.end()) {
-    answer.problem = open_channels_.empty()
-                         ? fmt::format("instance {} is {} and has no open channel{}{}", id_, answer.state,
-                                       answer.reason.empty() ? "" : ": ", answer.reason)
-                         : unknown_channel(request.channel);
-  } else if (const auto outgoing = outgoing_.find(request.channel); outgoing != outgoing_.end()) {
-    outgoing->second->looks().answer(request, answer);
-  } else if (found->second.looks) {
-    found->second.looks->answer(request, answer);
-  }
+  channels_.each_backlog(use);
 }
 
 void DriverInstance::hand(const std::string& channel, brokers::Message message,
                           const std::function<void(discovery::ChannelLook)>& done) {
-  const auto tell = [weak = weak_from_this(), done](const std::string& problem) {
+  message.driver_id = id_;
+  message.gateway_id = environment_->gateway;
+  if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();
+  channels_.hand(channel, std::move(message), [weak = weak_from_this(), done](const std::string& problem) {
     discovery::ChannelLook answer;
     answer.problem = problem;
     if (const auto self = weak.lock()) self->add_state(answer);
     done(std::move(answer));
-  };
-  std::shared_ptr<ChannelQueue> queue;
-  std::string problem;
-  {
-    const config::ReadLock lock(channels_mutex_);
-    const auto found = open_channels_.find(channel);
-    if (found == open_channels_.end()) {
-      problem = unknown_channel(channel);
-    } else if (!found->second.queue) {
-      problem = fmt::format("channel \"{}\" of instance {} is outgoing: its driver sends on it, and receives nothing",
-                            channel, id_);
-    } else {
-      queue = found->second.queue;
-    }
-  }
-  if (!queue) {
-    tell(problem);
-    return;
-  }
-  message.driver_id = id_;
-  message.gateway_id = environment_->gateway;
-  if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();
-  // As one that another host has passed: it does not wait for the instance's next life.
-  queue->push({brokers::Delivery(std::move(message), false, std::make_shared<HandedAnswer>(tell), 0),
-               environment_->clock->now(), 0, true});
+  });
 }
 
 // HostInterface: what the driver calls.
 
 drivers::PublishStatus DriverInstance::publish(std::string_view channel, drivers::Message message) noexcept try {
   if (!running()) return drivers::PublishStatus::closed;
-  const config::ReadLock lock(channels_mutex_);
-  const auto found = outgoing_.find(channel);
-  if (found == outgoing_.end()) {
-    if (!running()) return drivers::PublishStatus::closed;  // close_now() has just taken the channels away
-    std::vector<drivers::ChannelSpec> declared;
-    for (const auto& [name, outgoing] : outgoing_) declared.emplace_back().name = name;
-    fail(fmt::format("publish: {}", drivers::unknown_channel(channel, drivers::Direction::out, declared)));
-    return drivers::PublishStatus::closed;
-  }
   message.driver_id = id_;
   message.gateway_id = environment_->gateway;
   if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();
-  return found->second->publish(std::move(message));
+  if (const auto status = channels_.publish(channel, message)) return *status;
+  if (!running()) return drivers::PublishStatus::closed;  // close_now() has just taken the channels away
+  std::vector<drivers::ChannelSpec> declared;
+  for (const auto& name : channels_.outgoing_names()) declared.emplace_back().name = name;
+  fail(fmt::format("publish: {}", drivers::unknown_channel(channel, drivers::Direction::out, declared)));
+  return drivers::PublishStatus::closed;
 } catch (const std::exception& e) {
   host_logger.error("{}: publish on {} failed: {}", id_, channel, e.what());
   return drivers::PublishStatus::closed;

@@ -14,16 +14,16 @@
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
-#include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/channel_plan.h>
 #include <iotcloud/gateway/host/channel_queue.h>
 #include <iotcloud/gateway/host/host_environment.h>
-#include <iotcloud/gateway/host/outgoing_channel.h>
+#include <iotcloud/gateway/host/open_channels.h>
 
 namespace iotcloud::gateway {
 
-/// One driver instance in its host: runs the driver's life cycle, opens its channels, and implements the host interface
-/// that the driver uses. Commands are thread safe and return at once; the outcome is reported as a state.
+/// One driver instance in its host: runs the driver's life cycle, opens and closes its channels (OpenChannels has those
+/// that are open), and implements the host interface that the driver uses. Commands are thread safe and return at once;
+/// the outcome is reported as a state.
 class DriverInstance final : public drivers::HostInterface, public std::enable_shared_from_this<DriverInstance> {
  public:
   DriverInstance(std::shared_ptr<HostEnvironment> environment, InstanceSpec spec, std::shared_ptr<EventLoop> loop);
@@ -32,7 +32,7 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   void open();  ///< opens the driver, and activates it if the order says so
   void activate();
   void deactivate();
-  /// Closes for good; Reports `undeployed` when every accepted message has an outcome or the drain limit has passed.
+  /// Closes for good; reports `undeployed` when every accepted message has an outcome or the drain limit has passed.
   void remove(Removal removal);
 
   /// Closes, or is not opened at all, because its lease has run out. When it has closed it reports `inactive` with the
@@ -75,14 +75,6 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
 
  private:
   struct Incoming;
-  /// An open channel, for those who look at it from other threads.
-  struct OpenChannel {
-    discovery::ChannelRecord record;
-    std::shared_ptr<brokers::Broker> broker;
-    std::shared_ptr<ChannelQueue> queue{};  ///< of an incoming channel
-    std::shared_ptr<ChannelLooks> looks{};  ///< of an incoming channel
-  };
-  using OutgoingChannels = std::map<std::string, std::unique_ptr<OutgoingChannel>, std::less<>>;
 
   void attempt(const std::function<void()>& part);
   void open_now();
@@ -105,11 +97,6 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   /// Calls the driver; an error makes the instance `failed`. \return whether the call succeeded.
   bool call(const char* what, const std::function<void(std::string&)>& driver_call);
   void add_state(discovery::ChannelLook& answer) const;
-  std::vector<discovery::ChannelState> channel_states() const;
-  ChannelQueue::Backlog backlog_of(const std::string& name, const OpenChannel& channel) const
-      IOTCLOUD_REQUIRES_SHARED(channels_mutex_);
-  std::string unknown_channel(const std::string& name) const IOTCLOUD_REQUIRES_SHARED(channels_mutex_);
-  void look(const discovery::LookRequest& request, discovery::ChannelLook& answer);
   void hand(const std::string& channel, brokers::Message message,
             const std::function<void(discovery::ChannelLook)>& done);
   void report(discovery::DriverState state, const std::string& reason);
@@ -134,9 +121,7 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   std::set<HandlerId> handlers_ IOTCLOUD_GUARDED_BY(mutex_);
   bool metadata_waits_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< report_metadata() is posted and has not run yet
 
-  mutable config::SharedMutex channels_mutex_;
-  OutgoingChannels outgoing_ IOTCLOUD_GUARDED_BY(channels_mutex_);
-  std::map<std::string, OpenChannel, std::less<>> open_channels_ IOTCLOUD_GUARDED_BY(channels_mutex_);
+  OpenChannels channels_;
 
   // Used on the event thread only.
   bool closed_ = false;
