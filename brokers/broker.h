@@ -56,8 +56,9 @@ enum class WhenFull {
   block,        ///< answer would_block: for readings, where lost is worse than late
 };
 
-/// Of a channel. Messages carry it where the broker knows priorities. From `urgent_priority` on (control channels) they
-/// also travel on connections of their own, so that they never wait behind bulk data.
+/// Priorities of channels. Messages carry their channel's priority where the broker knows priorities. Those of
+/// `urgent_priority` and higher (control channels) also travel on connections of their own, so that they never wait
+/// behind bulk data.
 inline constexpr std::uint8_t normal_priority = 4;
 inline constexpr std::uint8_t urgent_priority = 5;
 

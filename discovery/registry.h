@@ -140,7 +140,8 @@ struct RegistryOptions {
   std::shared_ptr<const RegistryAccess> access{};
   /// Clients without that password may read this process's nodes.
   bool others_may_read = false;
-  /// That every process of this machine may write to a ZooKeeper without a user is meant, so the log does not warn.
+  /// The configuration says that a ZooKeeper without users, to which every process of this machine may write, is
+  /// wanted: the log does not warn of it.
   bool open = false;
 };
 

@@ -45,16 +45,18 @@ class FollowedOrders {
 
   /// Null: none is known. Valid until the next call of another function.
   const FollowedOrder* find(const discovery::InstanceId& instance) const;
-  /// An order for an instance that is not known, given before this, is an old one: what was followed is newer, and was
-  /// followed when the order, if it had been there, would have been followed, too.
+  /// An order for an unknown instance counts as an old one that somebody wrote again if it was given before this time:
+  /// this gateway has followed newer orders, and if that one had been there then, it would have followed it, too.
   std::int64_t oldest_of_unknown_ms() const;
-  /// They are on the disk when this returns. \throws config::Error if they cannot be written; then they are not known.
+  /// Adds orders; they are on the disk when this returns. \throws config::Error if they cannot be written; then nothing
+  /// is added.
   void add(const std::vector<FollowedOrder>& orders);
   /// The token of the freeze (discovery::FreezeRecord) in which this gateway is; empty: in none.
   const std::string& freeze() const { return freeze_; }
-  /// On the disk when this returns. \throws config::Error if it cannot be written; then nothing changes.
+  /// Keeps the token, or its absence, on the disk. \throws config::Error if it cannot be written; then nothing changes.
   void set_freeze(const std::string& token);
-  /// Forgets all orders: a master says that the registry's are meant as they stand. As set_freeze().
+  /// Forgets all orders, also on the disk, because a master says that those of the registry are meant as they stand.
+  /// \throws config::Error as set_freeze()
   void forget_all();
 
  private:

@@ -158,7 +158,7 @@ void Gateway::show_trouble(const std::string& text) {
   impl_->loop.post([impl = impl_.get(), text] {
     impl->membership.set_trouble(text);
     if (impl->stopping) return;
-    if (!impl->knows_registry) {  // the record is written when it is there
+    if (!impl->knows_registry) {  // the record is written when the registry is there
       impl->restore_due = true;
       return;
     }

@@ -55,7 +55,7 @@ class OrderFeed {
     std::function<void(const discovery::InstanceId& instance)> on_gone;
     /// The instances that the gateway has, ordered in this run or adopted from an earlier one.
     std::function<Instances()> present;
-    /// Of these instances, those whose record this gateway has written and does not find in the registry.
+    /// Returns those of the given instances whose record this gateway has written and does not find in the registry.
     /// \throws discovery::RegistryError.
     std::function<Instances(const Instances& of)> without_record;
     /// The feed has just been frozen.

@@ -49,9 +49,9 @@ void confine(const Confinement& confinement);
 /// (call_filter.cc has the list). \throws config::Error when the kernel has no seccomp.
 void filter_system_calls();
 
-/// Of the internet's transports only TCP is left from now on, in all threads and in what they start, begun by
-/// connect(), which restrict_connections() controls: other kinds of sockets, and data that go with the first packet,
-/// fail with EPERM. \throws config::Error when the kernel has no seccomp.
+/// Leaves this process only one way to the internet from now on, in all threads and in what they start: TCP connections
+/// that begin with connect(), which restrict_connections() controls. Other kinds of sockets, and data in the first
+/// packet (TCP Fast Open), fail with EPERM. \throws config::Error when the kernel has no seccomp.
 void filter_transports();
 
 }  // namespace iotcloud::processes

@@ -149,7 +149,8 @@ ProcessStarter::Started ProcessStarter::start(const std::vector<std::string>& ar
   if (send_with(connection, encode(request), {log.get(), passed.get()})) {
     const auto answer = next_answer(connection, answer_limit);
     if (answer && answer->kind == StarterAnswer::Kind::failed) throw config::Error(answer->reason);
-    // Not this process itself: the caller may end what is not of the account that it should be.
+    // Our own process id as an answer would be dangerous: the caller ends a started process that has another account
+    // than it should.
     if (answer && answer->kind == StarterAnswer::Kind::started && answer->number != getpid() &&
         send_all(connection, acknowledged)) {
       return {answer->number, std::move(connection)};

@@ -17,7 +17,7 @@ std::string frame_of(const std::vector<std::string>& words) {
   return frame(body);
 }
 
-/// Empty if the body does not end with a word's end.
+/// The words of a frame's body; none if the last one has no '\0' at its end.
 std::vector<std::string> words_of(const std::string& body) {
   std::vector<std::string> words;
   if (body.empty() || body.back() != '\0') return words;

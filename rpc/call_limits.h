@@ -33,7 +33,7 @@ class CallLimits {
   std::shared_ptr<void> enter(const std::string& identity);
 
  private:
-  /// Of one identity.
+  /// The calls of one identity.
   struct Account {
     config::Mutex mutex;
     config::ConditionVariable changed;

@@ -89,7 +89,8 @@ struct ThriftServerOptions {
   /// that has been idle the longest, of the identity that has the most. A connection whose call is under way loses
   /// nothing: when all are at that, the new one is refused.
   int max_connections = 256;
-  /// Of one identity that named itself (a token's); of more, the one that has been idle the longest is closed.
+  /// The most connections of one identity that named itself (by a token). When there are more, the server closes the
+  /// one that has been idle the longest.
   int max_connections_of_one = 64;
   int max_message_bytes = 16 * 1024 * 1024;
   int max_items = 100'000;  ///< most items in one list or map

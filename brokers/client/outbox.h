@@ -105,7 +105,7 @@ class Outbox {
   /// Takes the outcomes that are to be reported; call reported() afterwards.
   std::vector<Event> take_events(bool& writable);
   void reported(std::size_t count) { pending_ -= count; }
-  /// As above; keeps the vector's memory for later events.
+  /// The same, and keeps the vector's memory for later events.
   void reported(std::vector<Event> events) {
     reported(events.size());
     events.clear();

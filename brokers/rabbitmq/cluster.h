@@ -12,7 +12,7 @@
 
 namespace iotcloud::brokers::rabbitmq {
 
-/// As whom a connection logs in: as the broker's user, or as its user for reading, if there is one.
+/// The user with which a connection logs in: the broker's user, or for reading the broker's `reader`, if it has one.
 enum class Login { writer, reader };
 
 /// The servers of one broker, how to connect to them, and how their queues are declared. Thread safe: immutable.

@@ -69,7 +69,7 @@ class ConnectionLife {
   /// How long messages that were sent or handed on may take to be answered before the connection moves to the preferred
   /// server.
   static constexpr std::chrono::seconds moving_patience{2};
-  /// How often the life looks whether they are.
+  /// How often this object checks whether they were answered.
   static constexpr std::chrono::milliseconds moving_period{50};
 
   /// All arguments outlive this object. \param name the thread's \param mutex the one of the owner's core

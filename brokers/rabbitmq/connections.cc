@@ -101,7 +101,7 @@ void Connections::keep() {
   const auto stopping = [this]() IOTCLOUD_REQUIRES(mutex_) { return stopping_; };
   while (!stop_.wait_until(mutex_, clock_, clock_.now() + keeper_period, stopping)) {
     const Links now = links();
-    // Look_after() locks links' mutexes, uses sockets and resolves names, which may take long.
+    // look_after() locks links' mutexes, uses sockets and resolves names, which may take long.
     const config::Unlocked unlocked(mutex_);
     look_after(now);
     ask_preferred(now);

@@ -165,7 +165,7 @@ class ReadConnection final : client::ReadTransport,
   std::vector<std::shared_ptr<QueueReader>> leaving_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// Subscriptions whose prefetch was raised, which the server was not told yet.
   std::vector<std::shared_ptr<QueueReader>> raised_ IOTCLOUD_GUARDED_BY(core_.mutex);
-  /// Subscriptions of whose queues the server is to be asked.
+  /// Subscriptions for whose queues the server is to be asked how many messages they have.
   std::vector<std::shared_ptr<QueueReader>> asking_ IOTCLOUD_GUARDED_BY(core_.mutex);
   /// No reader's retry_at is earlier, except those of readers for which openers_wait_ is set.
   std::optional<Instant> next_timer_ IOTCLOUD_GUARDED_BY(core_.mutex);

@@ -28,7 +28,6 @@ class SerialThread {
   void post_at(Instant when, Task task);
   /// Returns when the current task is done; ignores later posts. Do not call it on its own thread.
   void stop();
-  bool is_current() const { return std::this_thread::get_id() == thread_.get_id(); }
 
  private:
   void run();

@@ -12,9 +12,9 @@
 
 namespace iotcloud::gateway {
 
-/// The versions of signed plugins that ran on this gateway. A plugin that was signed once is trusted for ever, also
-/// with holes that its later versions have not; so an older version than one that ran does not run again, except as the
-/// way back of an update, or if the configuration says so. Thread safe.
+/// The versions of signed plugins that ran on this gateway. A signature does not expire, so a signed version with a
+/// security hole stays signed after the next version has closed the hole. Therefore a version that is older than one
+/// that ran here does not run again, except when an update goes back, or if the configuration allows it. Thread safe.
 class PluginVersions {
  public:
   struct Options {

@@ -95,7 +95,7 @@ struct ControlServer::Impl {
   void greet();
   void send_waiting();
   void receive();
-  // What is for the instances comes only while there is a host.
+  // Commands for instances (is_for_instances) are obeyed only while `host` is set.
   void obey(const protocol::CreateInstance& command) { host->create(command.spec); }
   void obey(const protocol::ActivateInstance& command) { host->activate(command.instance); }
   void obey(const protocol::DeactivateInstance& command) { host->deactivate(command.instance); }

@@ -45,7 +45,8 @@ class DriverHost {
   void activate(const discovery::InstanceId& instance);
   void deactivate(const discovery::InstanceId& instance);
   /// Begins to remove the instance; the listener gets `undeployed` when it has ended, and at once for an unknown id.
-  /// Of an undeployed instance's own incoming channels the queues are removed, too (brokers::Broker::remove_queue()).
+  /// With Removal::undeployed the broker's queues of the instance's own incoming channels are removed, too
+  /// (brokers::Broker::remove_queue()).
   void remove(const discovery::InstanceId& instance, Removal removal);
   /// Removes all instances. \return false when one did not end within the limit: left_behind() says why. The thread of
   /// a driver that is stuck in a callback is left behind.

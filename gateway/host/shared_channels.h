@@ -29,12 +29,12 @@ namespace iotcloud::gateway {
 /// at the broker when the driver there has handled it. The instances take turns. A message that is larger than what may
 /// be passed now holds the turn until the others were answered.
 ///
-/// A message whose instance is open nowhere waits for it: at most for `longest_wait` if this host was told to create
-/// the instance and it has not failed since for so long, if the gateway says that it is about to be open, or if the
-/// gateway could not be asked yet; otherwise for `grace`. In any case it waits not longer than the channel's deadline,
-/// which counts from when it first came to this host. Then it is dropped and counted, as are those for that instance
-/// that come later, until it is there.
-/// Meanwhile the broker keeps what the subscription's prefetch does not take. Thread safe.
+/// A message whose instance is open nowhere waits for the instance. It waits for `longest_wait` at most if this host
+/// was told to create the instance and it has not been failed for that long, if the gateway says that the instance is
+/// about to be open, or if the gateway could not be asked yet; otherwise for `grace` at most. It never waits longer
+/// than the channel's deadline, which counts from when the message first came to this host. After that the message is
+/// dropped and counted, and so are later messages for that instance until the instance is open. While messages wait,
+/// the broker keeps those that the subscription's prefetch does not take. Thread safe.
 class SharedChannels {
  public:
   /// \param loop runs the timer that gives up messages; it is set only while messages wait. \param clock outlives this

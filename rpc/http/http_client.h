@@ -32,7 +32,8 @@ struct HttpReader {
 
 /// GETs a page of a daemon, in at most 5 s for each step. Blocks. Thread safe.
 /// \param address "127.0.0.1:9100"; without TLS a number of loopback, with TLS also a name, which the server's
-/// certificate must have. \param target path and query. \return the body. \throws HttpError, HttpRefusal, HttpUnreachable
+/// certificate must have. \param target path and query. \return the body. \throws HttpError, HttpRefusal,
+/// HttpUnreachable
 std::string http_get(const std::string& address, const std::string& target, const HttpReader& reader = {});
 
 /// Percent-encodes every character that RFC 3986 does not call unreserved, for a value of a query.

@@ -43,8 +43,8 @@ NO_IMPLEMENTATIONS = ("brokers/client", "brokers/spool", "discovery/client", "di
 # Who may also name the servers that run in this process.
 STARTERS = {"brokers/embedded": "topology/local/", "discovery/embedded": "topology/local/"}
 THRIFT_OF_GATEWAY = re.compile(r"gateway/(\w+_types|T\w+Service)\.h$")
-# A heavy library (what each costs a unit is in CONTRIBUTING.md): the sources that may include it. `None`: all. No header
-# may,
+# A heavy library (CONTRIBUTING.md says how to measure what each costs a unit): the sources that may include it. `None`:
+# all. No header may,
 HEAVY = {
     "CLI/": re.compile(r"_main\.cc$|^master/cli/|^config/daemon/daemon\.cc$|^tests/master/cli/cli_test\.cc$"),
     "boost/asio": None,

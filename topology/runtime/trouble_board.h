@@ -10,7 +10,7 @@
 
 namespace iotcloud::topology {
 
-/// What hinders the components of a topology now, as they say it. Thread safe.
+/// The reasons, reported by the components of a topology, for which they cannot work as they should now. Thread safe.
 class TroubleBoard final : public Troubles {
  public:
   /// What hinders one component.

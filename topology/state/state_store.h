@@ -76,8 +76,8 @@ struct Checkpoint {
   std::uint64_t version = 0;  ///< one more than the last
   std::uint64_t entries = 0;  ///< number of keys after the checkpoint
   std::span<const Change> changes;
-  /// Of a shared store: all keys that the task has claimed since its last checkpoint, in order; those of `changes` are
-  /// among them.
+  /// With a shared store all keys that the task has claimed since its last checkpoint, in order; those of `changes` are
+  /// among them. Empty with another store.
   std::span<const Claim> claimed{};
 };
 
@@ -87,16 +87,18 @@ class StateStore {
   virtual ~StateStore() = default;
   /// Whether the state belongs to no task: any task of the component, in any worker, may claim any key.
   virtual bool shared() const { return false; }
-  /// Of a shared store nothing: tasks claim the keys that they use. \throws StateError if the state cannot be read, is
-  /// incomplete, or was written by another number of tasks and cannot be given to these; StateUnavailable.
+  /// Reads a task's whole state; a shared store returns nothing, because tasks claim the keys that they use. \throws
+  /// StateError if the state cannot be read, is incomplete, or was written by another number of tasks and cannot be
+  /// given to these; StateUnavailable.
   virtual StoredState load(const StateOwner& owner) = 0;
-  /// Of a shared store: reads a key, and makes this task the only one that can write it until another one claims it.
+  /// For a shared store: reads a key, and makes this task the only one that can write it until another one claims it.
   /// \throws StateUnavailable
   virtual ClaimedValue claim(const StateOwner& /*owner*/, const std::string& /*key*/) { return {}; }
-  /// Of a shared store: that it keeps what it has. It may know that from the last second. \throws StateUnavailable
+  /// For a shared store: makes sure that it has not lost its data; an answer of the last second is enough. \throws
+  /// StateUnavailable
   virtual void make_sure() {}
   /// Writes all changes or none; they are durable when it returns. \throws StateError: it is then unknown whether they
-  /// were written, but not if another number of tasks has loaded the state since; of a shared store StateClaimed or
+  /// were written, but not if another number of tasks has loaded the state since. A shared store throws StateClaimed or
   /// StateUnavailable.
   virtual void commit(const StateOwner& owner, const Checkpoint& checkpoint) = 0;
 };

@@ -152,7 +152,7 @@ void WorkerControl::follow(const std::optional<Node>& node, const std::stop_toke
     }
   }
   if (const std::string why = node ? objection(*node, order) : ""; !why.empty()) return refuse(why);
-  // What is ordered while a worker runs was given after its start.
+  // Without a node, no order that was given before this worker's start counts from now on.
   const std::int64_t start = options_.worker.since_ms - discovery::clocks_differ.count();
   oldest_ = std::max(oldest_, node ? order.given_ms : start);
   if (const auto followed = record().revision; order.revision < followed) {

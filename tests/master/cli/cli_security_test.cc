@@ -69,8 +69,8 @@ class RecordingListener {
   std::jthread thread_;  ///< last: it uses the others
 };
 
-/// A master that keeps the token that it was shown, takes everybody in, and names another one as the leader, or leads if
-/// it names none. Thread safe.
+/// A master that keeps the token that it was shown, takes everybody in, and names another one as the leader, or leads
+/// if it names none. Thread safe.
 class PlayedMaster final : public wire::TMasterAPIServiceNull {
  public:
   explicit PlayedMaster(std::string leader = "") : leader_(std::move(leader)) {}

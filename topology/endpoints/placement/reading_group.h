@@ -29,7 +29,7 @@ class ReadingGroup {
     std::int64_t since_ms = 0;  ///< when it joined, Unix time
     std::string spouts;         ///< DriverUnits::description()
   };
-  /// Who shares the group's units.
+  /// The workers among which the group's units are shared out.
   struct Shares {
     std::vector<Sharer> sharers;
     /// All of them have the same spouts of the driver (Member::spouts), so all know the same units of it.

@@ -32,12 +32,12 @@ struct Backlog {
 class Arrivals {
  public:
   struct Facts {
-    /// Of the oldest message that came in the last second in which any came; nullopt: none came.
+    /// The age of the oldest message in the last second in which any message came; nullopt: none came.
     std::optional<std::int64_t> age_ms;
     Backlog backlog;
   };
 
-  /// A message came, which is so old by its own time. Wait free.
+  /// Notes that a message came. \param age_ms its age by its own time stamp. Wait free.
   void came(std::int64_t age_ms) {
     std::int64_t oldest = oldest_ms_.load(std::memory_order_relaxed);
     while (age_ms > oldest && !oldest_ms_.compare_exchange_weak(oldest, age_ms, std::memory_order_relaxed)) {

@@ -13,7 +13,8 @@ namespace iotcloud::topology {
 /// which limit their prefetch may grow, and whose prefetch is the limit now. Thread safe.
 class HeldMessages {
  public:
-  /// Of all spouts of a worker together. A prefetch that would need more is not raised.
+  /// The default limit on the bytes that all spouts of a worker hold together. A prefetch that would need more is not
+  /// raised.
   static constexpr std::size_t usual_limit = std::size_t{256} << 20U;
   explicit HeldMessages(std::size_t most_bytes = usual_limit) : most_bytes_(most_bytes) {}
 

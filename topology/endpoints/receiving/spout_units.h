@@ -156,7 +156,7 @@ class SpoutUnits {
     int last_task = -1;                     ///< the task that reads it
     int idle_looks = 0;                     ///< how often in a row look() has seen it idle
     std::size_t taken = 0;                  ///< UnitReaders::taken() at the last look
-    std::size_t in_hand = 0;                ///< likewise
+    std::size_t in_hand = 0;                ///< UnitReaders::in_hand() at the last look
     UnitReaders readers;
   };
 

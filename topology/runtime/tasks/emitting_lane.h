@@ -16,7 +16,7 @@ class EmittingLane final : public Lane {
  public:
   /// \param tasks the highest task id.
   EmittingLane(Scheduler& scheduler, std::size_t tasks);
-  /// The argument of Runnable::slice() as what it is.
+  /// The argument of Runnable::slice() as an EmittingLane, which every lane of a runtime is.
   static EmittingLane& of(Lane& lane) { return static_cast<EmittingLane&>(lane); }
 
   void put(BoltTask& target, TupleCell* cell) {
