@@ -6,7 +6,7 @@
 namespace iotcloud::brokers {
 namespace {
 
-Tls read_tls(config::Section section) {
+Tls read_tls(config::YamlSection section) {
   Tls tls;
   tls.ca_file = section.string_or("ca", "");
   tls.certificate_file = section.string_or("certificate", "");
@@ -20,7 +20,7 @@ Tls read_tls(config::Section section) {
 
 }  // namespace
 
-BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout) {
+BrokerOptions read_broker_options(config::YamlSection& section, std::chrono::milliseconds session_timeout) {
   using std::chrono::milliseconds;
   BrokerOptions options;
   options.urls = section.strings_or("urls", {});

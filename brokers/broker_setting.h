@@ -22,7 +22,7 @@ struct BrokerSetting {
 /// \param session_timeout of the registry: the broker must notice a dead reader before the registry names another one,
 /// so the heartbeat is at most half of it.
 /// \throws config::ConfigError for impossible values, with file, line and remedy.
-BrokerOptions read_broker_options(config::Section& section, std::chrono::milliseconds session_timeout);
+BrokerOptions read_broker_options(config::YamlSection& section, std::chrono::milliseconds session_timeout);
 
 /// The files that the broker's client reads, by their keys in the section: passwords, that of RabbitMQ's user for
 /// reading too, certificates and the key. read_broker_options() has found them all.

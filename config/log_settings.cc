@@ -9,7 +9,7 @@ LogFormat parse_log_format(std::string_view name) {
   throw ConfigError({}, "log format", "\"" + std::string(name) + "\" is none", "use text or json");
 }
 
-LogSettings read_log_settings(Section& top) {
+LogSettings read_log_settings(YamlSection& top) {
   LogSettings settings;
   auto log = top.optional_section("log");
   if (!log) return settings;
@@ -22,7 +22,7 @@ LogSettings read_log_settings(Section& top) {
 }
 
 LogSettings load_log_settings(const std::string& file) {
-  Section top = Section::load_file(file);
+  YamlSection top = YamlSection::load_file(file);
   return read_log_settings(top);
 }
 

@@ -31,7 +31,7 @@ struct LogSettings {
 
 /// Reads `log: {level: debug|info|warn|error|off, format: text|json}`. Each daemon's configuration reader calls it, so
 /// that it knows the key. \throws ConfigError.
-LogSettings read_log_settings(Section& top);
+LogSettings read_log_settings(YamlSection& top);
 /// Reads the section from a file and ignores its other keys. \throws ConfigError.
 LogSettings load_log_settings(const std::string& file);
 

@@ -38,7 +38,7 @@ struct Document {
 
 }  // namespace
 
-struct Section::Impl {
+struct YamlSection::Impl {
   YAML::Node node;  ///< a mapping
   std::shared_ptr<Document> document;
   std::string path;
@@ -100,18 +100,18 @@ bool parse_whole(const std::string& text, Number& value) {
 
 }  // namespace
 
-void Section::Impl::note(const std::string& key, std::string kind, std::string fallback, std::string allowed) {
+void YamlSection::Impl::note(const std::string& key, std::string kind, std::string fallback, std::string allowed) {
   asked.insert(key);
   internal::note_asked({join(pattern, key), std::move(kind), std::move(fallback), std::move(allowed), false});
 }
 
-void Section::Impl::note_required(const std::string& key, std::string kind, std::string allowed) {
+void YamlSection::Impl::note_required(const std::string& key, std::string kind, std::string allowed) {
   asked.insert(key);
   internal::note_asked({join(pattern, key), std::move(kind), "", std::move(allowed), true});
 }
 
-std::shared_ptr<Section::Impl> Section::Impl::inner(const YAML::Node& mapping, std::string inner_path,
-                                                    std::string inner_pattern) const {
+std::shared_ptr<YamlSection::Impl> YamlSection::Impl::inner(const YAML::Node& mapping, std::string inner_path,
+                                                            std::string inner_pattern) const {
   auto impl = std::make_shared<Impl>();
   impl->document = document;
   impl->stand_in = stand_in;
@@ -121,25 +121,25 @@ std::shared_ptr<Section::Impl> Section::Impl::inner(const YAML::Node& mapping, s
   return impl;
 }
 
-void Section::Impl::fail(const std::string& key, const ConfigError& error, const std::string& item) const {
+void YamlSection::Impl::fail(const std::string& key, const ConfigError& error, const std::string& item) const {
   if (!document->keeping) throw error;
   const std::string full = join(path, key);
   if (stand_in || (!item.empty() && !document->failed.insert(full + item).second)) return;
   if (document->failed.insert(full).second || !item.empty()) document->note(error);
 }
 
-void Section::Impl::fail_missing(const std::string& key, const std::string& example) const {
+void YamlSection::Impl::fail_missing(const std::string& key, const std::string& example) const {
   fail(key, ConfigError(location(document->file, node.Mark()), path, "the key \"" + key + "\" is missing",
                         "add " + example));
 }
 
-Section Section::parse(std::string_view text, const std::string& name) {
-  Section top = parse_keeping(text, name);
+YamlSection YamlSection::parse(std::string_view text, const std::string& name) {
+  YamlSection top = parse_keeping(text, name);
   if (!top.impl_->document->errors.empty()) throw together(std::exchange(top.impl_->document->errors, {}));
   return top;
 }
 
-Section Section::parse_keeping(std::string_view text, const std::string& name) {
+YamlSection YamlSection::parse_keeping(std::string_view text, const std::string& name) {
   auto impl = std::make_shared<Impl>();
   impl->document = std::make_shared<Document>();
   impl->document->file = name;
@@ -149,7 +149,7 @@ Section Section::parse_keeping(std::string_view text, const std::string& name) {
     throw ConfigError({name, 1, 1}, "", std::string("a mapping is expected at the top, not ") + kind_of(impl->node),
                       "write lines of the form \"key: value\"");
   }
-  return Section(std::move(impl));
+  return YamlSection(std::move(impl));
 }
 
 namespace {
@@ -186,20 +186,21 @@ YAML::Node key_node(const YAML::Node& mapping, const std::string& key) {
 
 }  // namespace
 
-Section Section::load_file(const std::string& path) {
+YamlSection YamlSection::load_file(const std::string& path) {
   return parse(text_of(path), path);
 }
 
-void Section::read_file(const std::string& path, const std::function<void(Section&)>& read) {
+void YamlSection::read_file(const std::string& path, const std::function<void(YamlSection&)>& read) {
   read_text(text_of(path), path, read);
 }
 
-void Section::read_text(std::string_view text, const std::string& name, const std::function<void(Section&)>& read) {
-  Section top = parse_keeping(text, name);
+void YamlSection::read_text(std::string_view text, const std::string& name,
+                            const std::function<void(YamlSection&)>& read) {
+  YamlSection top = parse_keeping(text, name);
   top.all_errors([&] { read(top); });
 }
 
-void Section::all_errors(const std::function<void()>& read) const {
+void YamlSection::all_errors(const std::function<void()>& read) const {
   Document& document = *impl_->document;
   if (document.keeping) {
     read();
@@ -226,15 +227,15 @@ void Section::all_errors(const std::function<void()>& read) const {
   throw together(errors);
 }
 
-bool Section::has_errors() const {
+bool YamlSection::has_errors() const {
   return !impl_->document->errors.empty();
 }
 
-bool Section::is_wrong(const std::string& key) const {
+bool YamlSection::is_wrong(const std::string& key) const {
   return impl_->document->failed.contains(join(impl_->path, key));
 }
 
-void Section::part(const std::function<void()>& read) const {
+void YamlSection::part(const std::function<void()>& read) const {
   try {
     read();
   } catch (const ConfigError& error) {
@@ -243,34 +244,34 @@ void Section::part(const std::function<void()>& read) const {
   }
 }
 
-void Section::refuse(const std::string& key, const std::string& problem, const std::string& remedy) const {
+void YamlSection::refuse(const std::string& key, const std::string& problem, const std::string& remedy) const {
   refuse(error(key, problem, remedy));
 }
 
-void Section::refuse(const ConfigError& error) const {
+void YamlSection::refuse(const ConfigError& error) const {
   Document& document = *impl_->document;
   if (!document.keeping) throw error;
   if (!impl_->stand_in && !document.failed.contains(error.key())) document.note(error);
 }
 
-bool Section::has(const std::string& key) const {
+bool YamlSection::has(const std::string& key) const {
   return lookup(impl_->node, key).IsDefined();
 }
 
-Location Section::where(const std::string& key) const {
+Location YamlSection::where(const std::string& key) const {
   const YAML::Node found = key.empty() ? YAML::Node(YAML::NodeType::Undefined) : key_node(impl_->node, key);
   return location(impl_->document->file, found.IsDefined() ? found.Mark() : impl_->node.Mark());
 }
 
-const std::string& Section::path() const {
+const std::string& YamlSection::path() const {
   return impl_->path;
 }
 
-ConfigError Section::error(const std::string& key, const std::string& problem, const std::string& remedy) const {
+ConfigError YamlSection::error(const std::string& key, const std::string& problem, const std::string& remedy) const {
   return ConfigError(where(key), key.empty() ? impl_->path : join(impl_->path, key), problem, remedy);
 }
 
-ConfigError Section::error_within(const std::string& key, std::size_t offset, const std::string& problem) const {
+ConfigError YamlSection::error_within(const std::string& key, std::size_t offset, const std::string& problem) const {
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined() || !value.IsScalar()) return error(key, problem);
   const Location begin = location(impl_->document->file, value.Mark());
@@ -278,7 +279,7 @@ ConfigError Section::error_within(const std::string& key, std::size_t offset, co
                      join(impl_->path, key), problem, "");
 }
 
-std::optional<std::string> Section::optional_string(const std::string& key) {
+std::optional<std::string> YamlSection::optional_string(const std::string& key) {
   impl_->note(key, "text");
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return std::nullopt;
@@ -289,7 +290,7 @@ std::optional<std::string> Section::optional_string(const std::string& key) {
   return value.Scalar();
 }
 
-std::string Section::require_string(const std::string& key) {
+std::string YamlSection::require_string(const std::string& key) {
   impl_->note_required(key, "text");
   auto value = optional_string(key);
   if (!value) impl_->fail_missing(key, "\"" + key + ": ...\"");
@@ -297,12 +298,12 @@ std::string Section::require_string(const std::string& key) {
   return value.value_or("");
 }
 
-std::string Section::string_or(const std::string& key, const std::string& fallback) {
+std::string YamlSection::string_or(const std::string& key, const std::string& fallback) {
   impl_->note(key, "text", fallback);
   return optional_string(key).value_or(fallback);
 }
 
-std::int64_t Section::int_or(const std::string& key, std::int64_t fallback, std::int64_t min, std::int64_t max) {
+std::int64_t YamlSection::int_or(const std::string& key, std::int64_t fallback, std::int64_t min, std::int64_t max) {
   impl_->note(key, "whole number", std::to_string(fallback), range_of(min, max));
   const auto text = optional_string(key);
   if (!text) return fallback;
@@ -316,13 +317,13 @@ std::int64_t Section::int_or(const std::string& key, std::int64_t fallback, std:
   return value;
 }
 
-std::int64_t Section::require_int(const std::string& key, std::int64_t min, std::int64_t max) {
+std::int64_t YamlSection::require_int(const std::string& key, std::int64_t min, std::int64_t max) {
   impl_->note_required(key, "whole number", range_of(min, max));
   static_cast<void>(require_string(key));
   return int_or(key, min, min, max);
 }
 
-double Section::double_or(const std::string& key, double fallback, double min, double max) {
+double YamlSection::double_or(const std::string& key, double fallback, double min, double max) {
   impl_->note(key, "number", fmt::format("{}", fallback), range_of(min, max));
   const auto text = optional_string(key);
   if (!text) return fallback;
@@ -335,7 +336,7 @@ double Section::double_or(const std::string& key, double fallback, double min, d
   return value;
 }
 
-bool Section::bool_or(const std::string& key, bool fallback) {
+bool YamlSection::bool_or(const std::string& key, bool fallback) {
   impl_->note(key, "true or false", fallback ? "true" : "false");
   const auto text = optional_string(key);
   if (!text) return fallback;
@@ -345,7 +346,7 @@ bool Section::bool_or(const std::string& key, bool fallback) {
   return fallback;
 }
 
-std::chrono::microseconds Section::duration_or(const std::string& key, std::chrono::microseconds fallback) {
+std::chrono::microseconds YamlSection::duration_or(const std::string& key, std::chrono::microseconds fallback) {
   impl_->note(key, "duration", internal::duration_text(fallback));
   const auto text = optional_string(key);
   if (!text) return fallback;
@@ -358,8 +359,8 @@ std::chrono::microseconds Section::duration_or(const std::string& key, std::chro
   return *value;
 }
 
-std::string Section::choice_or(const std::string& key, const std::string& fallback,
-                               const std::vector<std::string>& choices) {
+std::string YamlSection::choice_or(const std::string& key, const std::string& fallback,
+                                   const std::vector<std::string>& choices) {
   impl_->note(key, "choice", fallback, list_of(choices));
   const auto value = optional_string(key);
   if (!value) return fallback;
@@ -373,13 +374,13 @@ std::string Section::choice_or(const std::string& key, const std::string& fallba
   return *value;
 }
 
-std::string Section::require_choice(const std::string& key, const std::vector<std::string>& choices) {
+std::string YamlSection::require_choice(const std::string& key, const std::vector<std::string>& choices) {
   impl_->note_required(key, "choice", list_of(choices));
   static_cast<void>(require_string(key));
   return choice_or(key, "", choices);
 }
 
-std::vector<std::string> Section::strings_or(const std::string& key, const std::vector<std::string>& fallback) {
+std::vector<std::string> YamlSection::strings_or(const std::string& key, const std::vector<std::string>& fallback) {
   impl_->note(key, "list of texts", list_of(fallback));
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return fallback;
@@ -403,7 +404,7 @@ std::vector<std::string> Section::strings_or(const std::string& key, const std::
   return strings;
 }
 
-std::vector<std::string> Section::require_strings(const std::string& key) {
+std::vector<std::string> YamlSection::require_strings(const std::string& key) {
   impl_->note_required(key, "list of texts");
   auto strings = strings_or(key, {});
   if (!has(key)) {
@@ -414,7 +415,7 @@ std::vector<std::string> Section::require_strings(const std::string& key) {
   return strings;
 }
 
-std::vector<Section::Item> Section::require_items(const std::string& key) {
+std::vector<YamlSection::Item> YamlSection::require_items(const std::string& key) {
   impl_->note_required(key, "list of texts and mappings");
   const YAML::Node value = lookup(impl_->node, key);
   std::vector<Item> items;
@@ -434,7 +435,7 @@ std::vector<Section::Item> Section::require_items(const std::string& key) {
     if (item.IsScalar()) {
       items.push_back({item.Scalar(), std::nullopt});
     } else if (item.IsMap()) {
-      items.push_back({"", Section(impl_->inner(item, item_path, join(impl_->pattern, key) + "[]"))});
+      items.push_back({"", YamlSection(impl_->inner(item, item_path, join(impl_->pattern, key) + "[]"))});
     } else {
       impl_->fail(key,
                   ConfigError(location(impl_->document->file, item.Mark()), item_path,
@@ -446,7 +447,7 @@ std::vector<Section::Item> Section::require_items(const std::string& key) {
   return items;
 }
 
-std::map<std::string, std::string> Section::string_map(const std::string& key) {
+std::map<std::string, std::string> YamlSection::string_map(const std::string& key) {
   impl_->note(key, "mapping of texts");
   const YAML::Node value = lookup(impl_->node, key);
   std::map<std::string, std::string> map;
@@ -469,26 +470,26 @@ std::map<std::string, std::string> Section::string_map(const std::string& key) {
   return map;
 }
 
-std::vector<std::string> Section::names() const {
+std::vector<std::string> YamlSection::names() const {
   std::vector<std::string> names;
   for (const auto& entry : impl_->node) names.push_back(entry.first.Scalar());
   return names;
 }
 
-bool Section::is_list(const std::string& key) const {
+bool YamlSection::is_list(const std::string& key) const {
   const YAML::Node value = lookup(impl_->node, key);
   return value.IsDefined() && value.IsSequence();
 }
 
-bool Section::is_mapping(const std::string& key) const {
+bool YamlSection::is_mapping(const std::string& key) const {
   const YAML::Node value = lookup(impl_->node, key);
   return value.IsDefined() && value.IsMap();
 }
 
-std::vector<std::pair<std::string, Section>> Section::sections(const std::string& key) {
+std::vector<std::pair<std::string, YamlSection>> YamlSection::sections(const std::string& key) {
   impl_->note(key, "mapping of mappings");
   const YAML::Node value = lookup(impl_->node, key);
-  std::vector<std::pair<std::string, Section>> result;
+  std::vector<std::pair<std::string, YamlSection>> result;
   if (!value.IsDefined()) return result;
   if (!value.IsMap()) {
     impl_->fail(key, error(key, std::string("a mapping is expected here, not ") + kind_of(value), ""));
@@ -504,15 +505,15 @@ std::vector<std::pair<std::string, Section>> Section::sections(const std::string
                   "." + name);
       continue;
     }
-    result.emplace_back(name, Section(impl_->inner(entry.second, path, join(join(impl_->pattern, key), "<name>"))));
+    result.emplace_back(name, YamlSection(impl_->inner(entry.second, path, join(join(impl_->pattern, key), "<name>"))));
   }
   return result;
 }
 
-std::vector<Section> Section::section_list(const std::string& key) {
+std::vector<YamlSection> YamlSection::section_list(const std::string& key) {
   impl_->note(key, "list of mappings");
   const YAML::Node value = lookup(impl_->node, key);
-  std::vector<Section> result;
+  std::vector<YamlSection> result;
   if (!value.IsDefined()) return result;
   const auto add = [&](const YAML::Node& item, const std::string& path) {
     if (!item.IsMap()) {
@@ -522,7 +523,7 @@ std::vector<Section> Section::section_list(const std::string& key) {
                   path.substr(path.rfind('[') == std::string::npos ? path.size() : path.rfind('[')));
       return;
     }
-    result.push_back(Section(impl_->inner(item, path, join(impl_->pattern, key) + "[]")));
+    result.push_back(YamlSection(impl_->inner(item, path, join(impl_->pattern, key) + "[]")));
   };
   const std::string path = join(impl_->path, key);
   if (value.IsSequence()) {
@@ -533,7 +534,7 @@ std::vector<Section> Section::section_list(const std::string& key) {
   return result;
 }
 
-std::optional<Section> Section::optional_section(const std::string& key) {
+std::optional<YamlSection> YamlSection::optional_section(const std::string& key) {
   impl_->note(key, "mapping");
   const YAML::Node value = lookup(impl_->node, key);
   if (!value.IsDefined()) return std::nullopt;
@@ -541,20 +542,20 @@ std::optional<Section> Section::optional_section(const std::string& key) {
     impl_->fail(key, error(key, std::string("a mapping is expected here, not ") + kind_of(value), ""));
     return std::nullopt;
   }
-  return Section(impl_->inner(value, join(impl_->path, key), join(impl_->pattern, key)));
+  return YamlSection(impl_->inner(value, join(impl_->path, key), join(impl_->pattern, key)));
 }
 
-Section Section::require_section(const std::string& key) {
+YamlSection YamlSection::require_section(const std::string& key) {
   impl_->note_required(key, "mapping");
   auto section = optional_section(key);
   if (section) return *section;
   impl_->fail_missing(key, "\"" + key + ":\" and what belongs below it");
   auto stand_in = impl_->inner(YAML::Node(YAML::NodeType::Map), join(impl_->path, key), join(impl_->pattern, key));
   stand_in->stand_in = true;
-  return Section(std::move(stand_in));
+  return YamlSection(std::move(stand_in));
 }
 
-void Section::finish() const {
+void YamlSection::finish() const {
   if (impl_->cut_short) return;
   const std::vector<std::string> known(impl_->asked.begin(), impl_->asked.end());
   all_errors([&] {

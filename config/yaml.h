@@ -23,18 +23,18 @@ namespace iotcloud::config {
 /// While a reader runs in read_file(), read_text() or all_errors(), an error is noted instead of thrown, and the key's
 /// fallback is returned (without one: an empty or the least value, a section without keys), so that reading goes on; at
 /// the end all errors are thrown together, a line for each.
-class Section {
+class YamlSection {
  public:
   /// \throws ConfigError if the file cannot be read, is not YAML, or has no mapping at the top; and if it is not UTF-8,
   /// has control characters, or has more than 4 MiB, 32 levels or 500'000 values.
-  static Section load_file(const std::string& path);
+  static YamlSection load_file(const std::string& path);
   /// \param name stands for the file in messages.
-  static Section parse(std::string_view text, const std::string& name);
+  static YamlSection parse(std::string_view text, const std::string& name);
 
   /// Lets `read` read a whole file, and throws all errors of the file together. \throws ConfigError as load_file()
   /// does, too.
-  static void read_file(const std::string& path, const std::function<void(Section&)>& read);
-  static void read_text(std::string_view text, const std::string& name, const std::function<void(Section&)>& read);
+  static void read_file(const std::string& path, const std::function<void(YamlSection&)>& read);
+  static void read_text(std::string_view text, const std::string& name, const std::function<void(YamlSection&)>& read);
   /// Runs `read`, and throws all errors that this document's sections met in it together. Inside of another call of it
   /// for this document the outermost one throws.
   void all_errors(const std::function<void()>& read) const;
@@ -81,11 +81,11 @@ class Section {
   /// Whether the key holds a mapping.
   bool is_mapping(const std::string& key) const;
   /// A mapping of mappings, in file order (spouts, bolts, brokers). Missing: empty.
-  std::vector<std::pair<std::string, Section>> sections(const std::string& key);
+  std::vector<std::pair<std::string, YamlSection>> sections(const std::string& key);
   /// A sequence of mappings (inputs). Missing: empty. A single mapping counts as a sequence of one.
-  std::vector<Section> section_list(const std::string& key);
-  std::optional<Section> optional_section(const std::string& key);
-  Section require_section(const std::string& key);
+  std::vector<YamlSection> section_list(const std::string& key);
+  std::optional<YamlSection> optional_section(const std::string& key);
+  YamlSection require_section(const std::string& key);
 
   /// \throws ConfigError that names every key that nobody asked for, a line for each. Call it on every section that was
   /// read.
@@ -102,15 +102,15 @@ class Section {
  private:
   struct Impl;
   /// As parse(), but duplicate keys are noted in the document for all_errors().
-  static Section parse_keeping(std::string_view text, const std::string& name);
-  explicit Section(std::shared_ptr<Impl> impl) : impl_(std::move(impl)) {}
+  static YamlSection parse_keeping(std::string_view text, const std::string& name);
+  explicit YamlSection(std::shared_ptr<Impl> impl) : impl_(std::move(impl)) {}
   std::shared_ptr<Impl> impl_;
 };
 
 /// One item of a sequence: a text, or a mapping.
-struct Section::Item {
-  std::string text;                ///< empty if it is a mapping
-  std::optional<Section> mapping;  ///< its finish() is the caller's to call
+struct YamlSection::Item {
+  std::string text;                    ///< empty if it is a mapping
+  std::optional<YamlSection> mapping;  ///< its finish() is the caller's to call
 };
 
 /// "250ms", "2s", "5m", "1h", "10us"; nullopt for anything else.

@@ -120,7 +120,7 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
   }
 
   void judge(const InstanceId& id, std::optional<bool> chosen, const DriverRecord* record) IOTCLOUD_REQUIRES(turn) {
-    if (callbacks.on_verdict) callbacks.on_verdict(id, chosen);
+    if (callbacks.on_choice) callbacks.on_choice(id, chosen);
     if (callbacks.on_record && !over) callbacks.on_record(id, record);
   }
 

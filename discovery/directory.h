@@ -23,7 +23,7 @@ class DriverDirectory {
     std::function<void(const ChannelRecord&)> on_channel_gone;
     /// An instance's record was read, whatever its state: `chosen` says whether `where` selects it. Its channels are
     /// reported after this call. nullopt: the record is gone. May be empty.
-    std::function<void(const InstanceId& instance, std::optional<bool> chosen)> on_verdict{};
+    std::function<void(const InstanceId& instance, std::optional<bool> chosen)> on_choice{};
     /// The same, with what the record says, whether `where` selects the instance or not. May be empty.
     /// \param record null: the record is gone; valid during the call only
     std::function<void(const InstanceId& instance, const DriverRecord* record)> on_record{};

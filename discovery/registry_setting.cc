@@ -9,7 +9,7 @@ namespace {
 
 using std::chrono::milliseconds;
 
-std::string read_password(config::Section& top) {
+std::string read_password(config::YamlSection& top) {
   const auto file = top.optional_string("registry.password_file");
   const auto variable = top.optional_string("registry.password_variable");
   if (file && variable) {
@@ -34,7 +34,7 @@ std::string read_password(config::Section& top) {
   return {};
 }
 
-std::shared_ptr<const RegistryAccess> read_access(config::Section& top, const std::string& file,
+std::shared_ptr<const RegistryAccess> read_access(config::YamlSection& top, const std::string& file,
                                                   const std::string& user) {
   try {
     auto access = std::make_shared<const RegistryAccess>(read_registry_users(file),
@@ -51,7 +51,7 @@ std::shared_ptr<const RegistryAccess> read_access(config::Section& top, const st
 
 }  // namespace
 
-RegistryOptions read_registry_options(config::Section& top) {
+RegistryOptions read_registry_options(config::YamlSection& top) {
   RegistryOptions options;
   const std::string timeout_key = "registry.session_timeout";
   options.session_timeout =

@@ -53,7 +53,7 @@ struct GatewayOptions {
 /// on, and writes the changed records when the registry is back. A registry that comes back empty, or in an earlier
 /// state, gets the gateway's records again, but its orders are followed only after somebody adopted them (OrderFeed).
 /// Thread safe.
-class Gateway final : public config::Service {
+class Gateway final : public config::DaemonService {
  public:
   /// \throws config::Error for invalid options (a bad id, a broker without URLs).
   explicit Gateway(GatewayOptions options);
@@ -65,7 +65,7 @@ class Gateway final : public config::Service {
   /// is certain only after the session of a dead one would have expired; the adopted hosts have ended then. A stop that
   /// is asked for ends this wait: the gateway is not registered then, and stop() ends the adopted hosts.
   void start(const std::stop_token& stop) override;
-  using config::Service::start;
+  using config::DaemonService::start;
   /// Stops the instances (their records say `inactive`), ends their hosts and leaves the registry. Orders stay.
   void stop(std::chrono::milliseconds limit) override;
 

@@ -26,7 +26,7 @@ namespace {
 
 /// Runs a check; reports its error as an error of this configuration key.
 template <typename Check>
-void checked(const config::Section& section, const std::string& key, Check&& check) {
+void checked(const config::YamlSection& section, const std::string& key, Check&& check) {
   try {
     check();
   } catch (const config::ConfigError& e) {
@@ -36,11 +36,11 @@ void checked(const config::Section& section, const std::string& key, Check&& che
   }
 }
 
-std::vector<brokers::BrokerSetting> read_brokers(config::Section& file, milliseconds session_timeout) {
+std::vector<brokers::BrokerSetting> read_brokers(config::YamlSection& file, milliseconds session_timeout) {
   std::vector<brokers::BrokerSetting> brokers;
   for (auto& named : file.sections("brokers")) {
     const std::string& name = named.first;
-    config::Section& section = named.second;
+    config::YamlSection& section = named.second;
     brokers::BrokerSetting broker;
     broker.name = name;
     broker.type = section.choice_or("type", name, brokers::broker_kinds());
@@ -66,7 +66,7 @@ std::vector<brokers::BrokerSetting> read_brokers(config::Section& file, millisec
   return brokers;
 }
 
-void read_thrift(config::Section& file, GatewayConfig& config) {
+void read_thrift(config::YamlSection& file, GatewayConfig& config) {
   auto& listen = config.thrift.listen;
   config.gateway.host = listen.host;
   config.gateway.port = listen.port;
@@ -86,7 +86,7 @@ void read_thrift(config::Section& file, GatewayConfig& config) {
 
 /// Reads the confinement of driver hosts, and checks now, rather than when the first driver is deployed, that this
 /// machine allows it.
-void read_confinement(config::Section& file, ProcessLauncher::Options& hosts) {
+void read_confinement(config::YamlSection& file, ProcessLauncher::Options& hosts) {
   auto& confinement = hosts.confinement;
   confinement.no_new_privileges = true;
   confinement.filter_calls = file.bool_or("host_call_filter", true);
@@ -128,7 +128,7 @@ void read_confinement(config::Section& file, ProcessLauncher::Options& hosts) {
 }
 
 /// Reads the ports to which hosts may connect.
-void read_ports(config::Section& file, ProcessLauncher::Options& hosts) {
+void read_ports(config::YamlSection& file, ProcessLauncher::Options& hosts) {
   const std::string key = "host_ports";
   auto section = file.optional_section(key);
   if (!section) return;
@@ -157,7 +157,7 @@ void read_ports(config::Section& file, ProcessLauncher::Options& hosts) {
   }
 }
 
-void read_plugins(config::Section& file, GatewayConfig& config) {
+void read_plugins(config::YamlSection& file, GatewayConfig& config) {
   config.hosts.plugin_dir = file.require_string("plugins");
   if (!std::filesystem::is_directory(config.hosts.plugin_dir)) {
     file.refuse("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there", "make it, or name another");
@@ -176,7 +176,7 @@ void read_plugins(config::Section& file, GatewayConfig& config) {
   config.hosts.trust = config.trust;
 }
 
-void read_orders(config::Section& file, GatewayConfig& config) {
+void read_orders(config::YamlSection& file, GatewayConfig& config) {
   security::TrustedKeys::Options masters;
   masters.trusted_keys = file.strings_or("orders.trusted_keys", {});
   if (masters.trusted_keys.empty()) return;
@@ -185,8 +185,8 @@ void read_orders(config::Section& file, GatewayConfig& config) {
   config.gateway.order_keys = config.order_keys;
 }
 
-void read_hosts(config::Section& file, GatewayConfig& config) {
-  const auto time = [](config::Section& section, const std::string& key, milliseconds& value) {
+void read_hosts(config::YamlSection& file, GatewayConfig& config) {
+  const auto time = [](config::YamlSection& section, const std::string& key, milliseconds& value) {
     value = duration_cast<milliseconds>(section.duration_or(key, value));
   };
   auto& hosts = config.hosts;
@@ -220,7 +220,7 @@ void read_hosts(config::Section& file, GatewayConfig& config) {
   restart->finish();
 }
 
-GatewayConfig read_gateway(config::Section& file) {
+GatewayConfig read_gateway(config::YamlSection& file) {
   GatewayConfig config;
   auto& gateway = config.gateway;
   gateway.id = discovery::GatewayId(file.require_string("id"));
@@ -249,7 +249,7 @@ GatewayConfig read_gateway(config::Section& file) {
 
 GatewayConfig GatewayConfig::load(const std::string& path) {
   std::optional<GatewayConfig> config;
-  config::Section::read_file(path, [&](config::Section& file) { config = read_gateway(file); });
+  config::YamlSection::read_file(path, [&](config::YamlSection& file) { config = read_gateway(file); });
   return *std::move(config);
 }
 

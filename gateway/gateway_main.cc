@@ -31,7 +31,7 @@ using namespace iotcloud;
 std::atomic<bool> replaced{false};
 
 /// The daemon's parts, in the order in which they depend on each other.
-class GatewayDaemon final : public config::Service {
+class GatewayDaemon final : public config::DaemonService {
  public:
   explicit GatewayDaemon(gateway::GatewayConfig config) : config_(std::move(config)) {}
 

@@ -23,13 +23,13 @@ OrderResult Master::deploy(const DeployRequest& request) {
   return impl_->deployments.deploy(request);
 }
 OrderResult Master::undeploy(const InstanceSelection& selection) {
-  return impl_->changes.change(selection, Change::undeploy);
+  return impl_->changes.change(selection, InstanceAction::undeploy);
 }
 OrderResult Master::start(const InstanceSelection& selection) {
-  return impl_->changes.change(selection, Change::start);
+  return impl_->changes.change(selection, InstanceAction::start);
 }
 OrderResult Master::stop(const InstanceSelection& selection) {
-  return impl_->changes.change(selection, Change::stop);
+  return impl_->changes.change(selection, InstanceAction::stop);
 }
 OrderResult Master::update_metadata(const InstanceSelection& selection, const MetadataChanges& changes) {
   return impl_->changes.update_metadata(selection, changes);
@@ -48,11 +48,11 @@ OrderResult Master::update(const UpdateRequest& request) {
 }
 GivenOrder Master::give(const std::string& order, const std::string& json, const BeforeOrder& before) {
   const auto* kind = find_order_kind(order);
-  if (kind == nullptr) return {"", refuse(Refusal::bad_request, "this master knows no order \"" + order + "\"")};
+  if (kind == nullptr) return {"", refuse(OrderRefusal::bad_request, "this master knows no order \"" + order + "\"")};
   try {
     return kind->give(*impl_, json, before);
   } catch (const config::Error& e) {
-    return {"", refuse(Refusal::bad_request, e.what())};
+    return {"", refuse(OrderRefusal::bad_request, e.what())};
   }
 }
 TopologyResult Master::order(const TopologyRequest& request) {

@@ -35,7 +35,7 @@ namespace {
 constexpr milliseconds registry_timeout{3'000};
 
 /// Gateways of the original system have neither TLS nor tokens, so only this machine may reach this address.
-void read_original_address(config::Section& section, rpc::ListenSettings& address) {
+void read_original_address(config::YamlSection& section, rpc::ListenSettings& address) {
   address.host = section.string_or("host", address.host);
   address.port = static_cast<int>(section.int_or("port", address.port, 1, 65535));
   if (config::is_loopback(address.host)) return;
@@ -57,7 +57,7 @@ rpc::ThriftServerOptions server_options(const char* name, const rpc::ListenSetti
 
 /// Runs a check, and reports its error as one of this key.
 template <typename Check>
-void check_key(const config::Section& section, const std::string& key, Check&& check) {
+void check_key(const config::YamlSection& section, const std::string& key, Check&& check) {
   try {
     check();
   } catch (const config::Error& e) {
@@ -74,7 +74,7 @@ void check_own_key(const MasterDaemonConfig& config) {
     throw config::Error("none of these keys is that of signing_key, with which this master signs: add its .pub file");
 }
 
-class MasterService final : public config::Service {
+class MasterService final : public config::DaemonService {
  public:
   explicit MasterService(MasterDaemonConfig config) : config_(std::move(config)) {}
 
@@ -170,7 +170,7 @@ class MasterService final : public config::Service {
   std::unique_ptr<rpc::MetricsEndpoint> metrics_;
 };
 
-MasterDaemonConfig read_master(config::Section& top) {
+MasterDaemonConfig read_master(config::YamlSection& top) {
   MasterDaemonConfig config;
   config.id = top.string_or("id", "master");
   config.registry = discovery::read_registry_options(top);
@@ -226,11 +226,11 @@ MasterDaemonConfig read_master(config::Section& top) {
 
 MasterDaemonConfig load_master_config(const std::string& file) {
   std::optional<MasterDaemonConfig> config;
-  config::Section::read_file(file, [&](config::Section& top) { config = read_master(top); });
+  config::YamlSection::read_file(file, [&](config::YamlSection& top) { config = read_master(top); });
   return *std::move(config);
 }
 
-std::unique_ptr<config::Service> make_master_service(MasterDaemonConfig config) {
+std::unique_ptr<config::DaemonService> make_master_service(MasterDaemonConfig config) {
   return std::make_unique<MasterService>(std::move(config));
 }
 

@@ -37,6 +37,6 @@ struct MasterDaemonConfig {
 MasterDaemonConfig load_master_config(const std::string& file);
 
 /// The master daemon's parts: registry, master and its Thrift servers.
-std::unique_ptr<config::Service> make_master_service(MasterDaemonConfig config);
+std::unique_ptr<config::DaemonService> make_master_service(MasterDaemonConfig config);
 
 }  // namespace iotcloud::master

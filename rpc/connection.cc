@@ -38,7 +38,7 @@ ThriftConnection::ThriftConnection(const ThriftServerOptions& options, const Thr
       service_(service),
       tls_(std::move(tls)),
       log_(log),
-      stranger_until_(Stream::Clock::now() + options.stranger_limit),
+      stranger_until_(TcpStream::Clock::now() + options.stranger_limit),
       stream_(descriptor, tls_.get()),
       address_(stream_.peer_address()) {}
 
@@ -58,10 +58,10 @@ void ThriftConnection::serve() noexcept {
     while (!stopping_ && !peer_->hung_up()) answer(read_message());
   } catch (const Refused& refused) {
     refuse(refused.reason, refused.text);
-  } catch (const StreamError& e) {
-    if (e.kind() == StreamError::Kind::tls) {
+  } catch (const TcpStreamError& e) {
+    if (e.kind() == TcpStreamError::Kind::tls) {
       refuse("tls", e.what());
-    } else if (e.kind() == StreamError::Kind::timed_out) {
+    } else if (e.kind() == TcpStreamError::Kind::timed_out) {
       refuse("slow", is_stranger() ? "it did not say in time who it is" : "a message took too long");
     } else {
       thrift_logger.debug("{}: {}: {}", options_.name, address_, e.what());
@@ -87,7 +87,7 @@ void ThriftConnection::note_standing(bool answering) {
   auto is_valid = peer_->take_validity();
   const config::MutexLock lock(mutex_);
   if (is_valid) is_valid_ = std::move(is_valid);
-  standing_ = {peer_->identity(), peer_->named(), answering, Stream::Clock::now()};
+  standing_ = {peer_->identity(), peer_->named(), answering, TcpStream::Clock::now()};
 }
 
 std::string ThriftConnection::distrust(const security::TlsContext* tls) const {
@@ -111,9 +111,9 @@ ThriftConnection::Standing ThriftConnection::standing() const {
 
 std::string ThriftConnection::read_message() {
   std::array<char, 4> head{};
-  const auto idle_until = peer_->trusted() ? Stream::Clock::now() + options_.idle_limit : stranger_until_;
+  const auto idle_until = peer_->trusted() ? TcpStream::Clock::now() + options_.idle_limit : stranger_until_;
   std::size_t have = stream_.read_some(head.data(), head.size(), idle_until);
-  const auto message_until = Stream::Clock::now() + options_.message_limit;
+  const auto message_until = TcpStream::Clock::now() + options_.message_limit;
   const auto deadline = peer_->trusted() ? message_until : std::min(stranger_until_, message_until);
   while (have < head.size()) have += stream_.read_some(head.data() + have, head.size() - have, deadline);
 
@@ -165,7 +165,7 @@ void ThriftConnection::answer(const std::string& message) {
   // This connection, too, is noted before the answer is sent: a client that has got it may connect again, and the
   // server then counts this connection.
   note_standing(true);
-  stream_.write_all(bytes.data(), bytes.size(), Stream::Clock::now() + options_.message_limit);
+  stream_.write_all(bytes.data(), bytes.size(), TcpStream::Clock::now() + options_.message_limit);
   peer_->release();
   note_standing(false);
 }

@@ -6,7 +6,7 @@
 
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/rpc/refusal_log.h>
-#include <iotcloud/rpc/stream.h>
+#include <iotcloud/rpc/tcp_stream.h>
 #include <iotcloud/rpc/thrift_server.h>
 
 namespace iotcloud::rpc {
@@ -36,7 +36,7 @@ class ThriftConnection {
     std::string identity;
     bool named = false;      ///< the identity is more than an address
     bool answering = false;  ///< a call is under way
-    Stream::Clock::time_point since;
+    TcpStream::Clock::time_point since;
   };
   Standing standing() const IOTCLOUD_EXCLUDES(mutex_);
   /// Why the client may not keep this connection: its certificate is not trusted any more, its token was taken away.
@@ -45,9 +45,9 @@ class ThriftConnection {
   const std::string& address() const { return address_; }
 
  private:
-  using TimePoint = Stream::Clock::time_point;
+  using TimePoint = TcpStream::Clock::time_point;
   void open();
-  /// \return the next message, without its length. \throws StreamError, Refused
+  /// \return the next message, without its length. \throws TcpStreamError, Refused
   std::string read_message();
   void answer(const std::string& message);
   void note_standing(bool answering) IOTCLOUD_EXCLUDES(mutex_);
@@ -58,7 +58,7 @@ class ThriftConnection {
   const std::shared_ptr<const security::TlsContext> tls_;
   RefusalLog& log_;
   const TimePoint stranger_until_;
-  Stream stream_;
+  TcpStream stream_;
   const std::string address_;
   std::shared_ptr<ThriftPeer> peer_;
   std::shared_ptr<apache::thrift::TProcessor> processor_;

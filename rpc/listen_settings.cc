@@ -29,7 +29,7 @@ HostAndPort split_address(const std::string& address) {
 namespace {
 
 /// Reads how many calls a second each identity of a role may make.
-void read_calls(config::Section& section, CallsByRole& calls) {
+void read_calls(config::YamlSection& section, CallsByRole& calls) {
   auto rates = section.optional_section("calls_per_second");
   if (!rates) return;
   for (auto& [role, limits] : calls)
@@ -40,7 +40,7 @@ void read_calls(config::Section& section, CallsByRole& calls) {
 
 }  // namespace
 
-void read_listen_settings(config::Section& section, ListenSettings& settings, int least_port) {
+void read_listen_settings(config::YamlSection& section, ListenSettings& settings, int least_port) {
   settings.host = section.string_or("host", settings.host);
   settings.port = static_cast<int>(section.int_or("port", settings.port, least_port, 65535));
   settings.tls = security::read_tls(section);

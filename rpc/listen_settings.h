@@ -25,7 +25,7 @@ struct ListenSettings {
 /// Reads `host`, `port`, `tls`, `tokens`, `users`, `open`, `calls_per_second` and `advertise`. Missing keys keep their
 /// values; advertise becomes host:port. \param least_port 0 allows any free port. \throws ConfigError, also if
 /// exposure() gives a reason.
-void read_listen_settings(config::Section& section, ListenSettings& settings, int least_port = 1);
+void read_listen_settings(config::YamlSection& section, ListenSettings& settings, int least_port = 1);
 
 /// Why the service must not listen with these settings; empty if it may. Its clients can run programs, so a port that
 /// other machines can reach needs TLS and tokens.

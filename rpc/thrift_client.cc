@@ -8,7 +8,7 @@
 #include <thrift/transport/TVirtualTransport.h>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/rpc/stream.h>
+#include <iotcloud/rpc/tcp_stream.h>
 #include <iotcloud/rpc/thrift_client.h>
 
 namespace iotcloud::rpc {
@@ -28,14 +28,14 @@ constexpr int most_bytes = 64 * 1024 * 1024;
 /// room for a list before it reads the first element, so whoever answers may not choose any length.
 constexpr int most_items = 400'000;
 
-TTransportException exception_of(const StreamError& e) {
+TTransportException exception_of(const TcpStreamError& e) {
   switch (e.kind()) {
-    case StreamError::Kind::ended:
+    case TcpStreamError::Kind::ended:
       return {TTransportException::END_OF_FILE, e.what()};
-    case StreamError::Kind::timed_out:
+    case TcpStreamError::Kind::timed_out:
       return {TTransportException::TIMED_OUT, e.what()};
-    case StreamError::Kind::tls:
-    case StreamError::Kind::broken:
+    case TcpStreamError::Kind::tls:
+    case TcpStreamError::Kind::broken:
       break;
   }
   return {TTransportException::NOT_OPEN, e.what()};
@@ -49,9 +49,9 @@ class ThriftClient::Transport final : public TVirtualTransport<Transport> {
       : TVirtualTransport(std::make_shared<TConfiguration>(most_bytes, most_bytes)), limit_(options.answer_limit) {
     if (!options.tls.empty()) tls_.emplace(options.tls, security::TlsContext::Side::client);
     try {
-      stream_ = Stream::connect(options.host, options.port, tls_ ? &*tls_ : nullptr,
-                                Stream::Clock::now() + options.connect_limit);
-    } catch (const StreamError& e) {
+      stream_ = TcpStream::connect(options.host, options.port, tls_ ? &*tls_ : nullptr,
+                                   TcpStream::Clock::now() + options.connect_limit);
+    } catch (const TcpStreamError& e) {
       throw exception_of(e);
     }
     if (options.tls.empty() || options.gateway.empty() || stream_->is_peer_gateway(options.gateway)) return;
@@ -65,11 +65,11 @@ class ThriftClient::Transport final : public TVirtualTransport<Transport> {
   void close() override { stream_.reset(); }
 
   std::uint32_t read(std::uint8_t* to, std::uint32_t size) {
-    return use([&](Stream& stream) { return static_cast<std::uint32_t>(stream.read_some(to, size, deadline_)); });
+    return use([&](TcpStream& stream) { return static_cast<std::uint32_t>(stream.read_some(to, size, deadline_)); });
   }
   void write(const std::uint8_t* from, std::uint32_t size) {
-    deadline_ = Stream::Clock::now() + limit_;
-    use([&](Stream& stream) {
+    deadline_ = TcpStream::Clock::now() + limit_;
+    use([&](TcpStream& stream) {
       stream.write_all(from, size, deadline_);
       return 0U;
     });
@@ -84,15 +84,15 @@ class ThriftClient::Transport final : public TVirtualTransport<Transport> {
     if (!stream_) throw TTransportException(TTransportException::NOT_OPEN, "the connection is closed");
     try {
       return use(*stream_);
-    } catch (const StreamError& e) {
+    } catch (const TcpStreamError& e) {
       throw exception_of(e);
     }
   }
 
   std::chrono::milliseconds limit_;
-  Stream::Clock::time_point deadline_ = Stream::never;
+  TcpStream::Clock::time_point deadline_ = TcpStream::never;
   std::optional<security::TlsContext> tls_;
-  std::unique_ptr<Stream> stream_;
+  std::unique_ptr<TcpStream> stream_;
 };
 
 ThriftClient::ThriftClient(const ThriftClientOptions& options) : transport_(std::make_shared<Transport>(options)) {}

@@ -152,9 +152,9 @@ struct ThriftServer::Impl {
       // checked after the read, which may have consumed the wake-up that came with the stop
       if (stop.stop_requested()) return;
       clients.remove_if([](const Client& client) { return client.done.load(); });
-      if (look_now.exchange(false) || Stream::Clock::now() >= next_look) {
+      if (look_now.exchange(false) || TcpStream::Clock::now() >= next_look) {
         look();
-        next_look = Stream::Clock::now() + options.look_period;
+        next_look = TcpStream::Clock::now() + options.look_period;
       }
       const int descriptor = accept4(listener.get(), nullptr, nullptr, SOCK_CLOEXEC | SOCK_NONBLOCK);
       if (descriptor >= 0) {
@@ -264,7 +264,7 @@ struct ThriftServer::Impl {
   const OpenDescriptor wake;  ///< wakes the thread that accepts
   security::ServerTls tls;
   std::atomic<bool> look_now{false};
-  Stream::Clock::time_point next_look = Stream::Clock::now();  ///< used by the thread that accepts
+  TcpStream::Clock::time_point next_look = TcpStream::Clock::now();  ///< used by the thread that accepts
   /// In order of arrival; used by the thread that accepts, and after its end by the destructor.
   std::list<Client> clients;
   std::jthread acceptor;

@@ -105,7 +105,7 @@ bool is_same_file(int one, int other) {
 
 }  // namespace
 
-AuditSettings read_audit(config::Section& top) {
+AuditSettings read_audit(config::YamlSection& top) {
   AuditSettings settings;
   auto audit = top.optional_section("audit");
   if (!audit) return settings;

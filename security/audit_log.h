@@ -46,7 +46,7 @@ struct AuditSettings {
 };
 
 /// Reads `audit: {file, when_full}`. Without the section: no audit log. \throws ConfigError
-AuditSettings read_audit(config::Section& top);
+AuditSettings read_audit(config::YamlSection& top);
 
 /// A file of orders: a JSON object on each line with `number` and `previous` (audit_chain.h), `time` (ISO 8601, UTC),
 /// `event` and the members of AuditEntry. A line is on disk before write() returns, so the log survives a crash of the

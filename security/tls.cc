@@ -92,7 +92,7 @@ std::string subject_in(const std::string& file) {
   return subject_of(certificate.get());
 }
 
-TlsFiles read_tls(config::Section& section) {
+TlsFiles read_tls(config::YamlSection& section) {
   auto tls = section.optional_section("tls");
   if (!tls) return {};
   TlsFiles files;

@@ -25,7 +25,7 @@ struct TlsFiles {
 
 /// Reads `tls: {ca, certificate, key, revoked}`; the first three are needed, and all are checked. Without the section:
 /// no TLS. \throws ConfigError if one is missing or unusable, with file, line and remedy.
-TlsFiles read_tls(config::Section& section);
+TlsFiles read_tls(config::YamlSection& section);
 
 /// The settings that all connections of one side share: TLS 1.2 or later; both sides show a certificate of the
 /// authority. Sessions are not resumed, so that every connection is checked anew. Thread safe.

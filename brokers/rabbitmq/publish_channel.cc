@@ -307,10 +307,10 @@ void PublishChannel::read_frames() {
 
 /// Marks a returned message. Its confirmation is still to come, so it is among the first unanswered ones.
 void PublishChannel::on_returned(const amqp_basic_properties_t& properties) {
-  const std::optional<Origin> origin = origin_of(properties);
+  const std::optional<MessageOrigin> origin = origin_of(properties);
   const config::MutexLock lock(core_.mutex);
   const auto found = std::find_if(tags_.begin(), tags_.end(), [&](const UnderWay* message) {
-    return message != nullptr && Origin{message->outbox->id, message->accepted.number} == origin;
+    return message != nullptr && MessageOrigin{message->outbox->id, message->accepted.number} == origin;
   });
   if (found != tags_.end()) (*found)->returned = true;
 }

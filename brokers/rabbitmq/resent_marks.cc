@@ -12,7 +12,7 @@ constexpr std::size_t most_publishers = 4096;
 
 }  // namespace
 
-bool ResentMarks::may_be_a_copy(const std::optional<Origin>& origin, bool marked) {
+bool ResentMarks::may_be_a_copy(const std::optional<MessageOrigin>& origin, bool marked) {
   if (!origin) return marked;
   if (!marked) {
     const auto found = last_marked_.find(origin->publisher);

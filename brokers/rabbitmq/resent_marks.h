@@ -15,7 +15,7 @@ class ResentMarks {
  public:
   /// Whether a message may have been read before. \param origin nullopt: another program published it. \param marked
   /// its publisher marked it as sent again.
-  bool may_be_a_copy(const std::optional<Origin>& origin, bool marked);
+  bool may_be_a_copy(const std::optional<MessageOrigin>& origin, bool marked);
 
  private:
   std::map<std::uint64_t, std::uint64_t> last_marked_;  ///< the number of the last marked message, by publisher

@@ -426,14 +426,14 @@ void SpoolQueue::tidy() {
   sync_at_ = now() + disk_retry;
 }
 
-std::optional<Served::Time> SpoolQueue::next_time() const {
+std::optional<ServedSpool::Time> SpoolQueue::next_time() const {
   if (!ledger_.all_sent() && may_send()) return now();
   std::optional<Time> next = retry_at_;
   if (dirty_ && (!next || sync_at_ < *next)) next = sync_at_;
   return next;
 }
 
-std::optional<Served::Time> SpoolQueue::serve() noexcept {
+std::optional<ServedSpool::Time> SpoolQueue::serve() noexcept {
   try {
     const auto self = shared_from_this();  // a callback may close the publisher, which lets go of this object
     const config::MutexLock lock(mutex_);

@@ -26,7 +26,7 @@ namespace iotcloud::brokers::spool {
 /// Three kinds of threads use it: callers of publish(), one at a time under `order_`; the inner publisher's callbacks;
 /// and the spools' thread. The thread that has set `sending_` passes messages to the inner publisher: the caller of
 /// publish() if its message is the next one, and the spools' thread if messages wait on disk.
-class SpoolQueue final : public Served, public std::enable_shared_from_this<SpoolQueue> {
+class SpoolQueue final : public ServedSpool, public std::enable_shared_from_this<SpoolQueue> {
  public:
   /// \throws config::Error, see make_spooled_publisher.
   SpoolQueue(const Topic& topic, const PublisherOptions& options, const SpoolOptions& spool);

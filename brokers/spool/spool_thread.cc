@@ -7,7 +7,7 @@
 namespace iotcloud::brokers::spool {
 namespace {
 
-using Time = Served::Time;
+using Time = ServedSpool::Time;
 
 }  // namespace
 
@@ -39,12 +39,12 @@ SpoolThread::~SpoolThread() {
   }
 }
 
-void SpoolThread::add(Served& served) {
+void SpoolThread::add(ServedSpool& served) {
   const config::MutexLock lock(state_->mutex);
   state_->due[&served] = Time::max();
 }
 
-void SpoolThread::remove(Served& served) {
+void SpoolThread::remove(ServedSpool& served) {
   State& state = *state_;
   const config::MutexLock lock(state.mutex);
   state.due.erase(&served);
@@ -52,7 +52,7 @@ void SpoolThread::remove(Served& served) {
   state.changed.wait(state.mutex, [&]() IOTCLOUD_REQUIRES(state.mutex) { return state.serving != &served; });
 }
 
-void SpoolThread::wake(Served& served) {
+void SpoolThread::wake(ServedSpool& served) {
   {
     const Time now = state_->clock.now();
     const config::MutexLock lock(state_->mutex);
@@ -76,7 +76,7 @@ void SpoolThread::run(State& state) {
       state.changed.wait_until(state.mutex, state.clock, Time(next->second));
       continue;
     }
-    Served* const served = next->first;
+    ServedSpool* const served = next->first;
     next->second = Time::max();  // set before serve(), so that a wake() during it is not lost
     state.serving = served;
     lock.unlock();

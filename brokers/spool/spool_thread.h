@@ -11,11 +11,11 @@
 namespace iotcloud::brokers::spool {
 
 /// A spool that the spools' thread serves.
-class Served {
+class ServedSpool {
  public:
   /// By the spool's clock, whose changes of the time of day neither delay nor hurry the work.
   using Time = config::Clock::Instant;
-  virtual ~Served() = default;
+  virtual ~ServedSpool() = default;
   /// Does the work that is due; the spools' thread calls it. \return when to call it again if no wake() comes before.
   virtual std::optional<Time> serve() noexcept = 0;
 };
@@ -31,11 +31,11 @@ class SpoolThread {
   SpoolThread(const SpoolThread&) = delete;
   SpoolThread& operator=(const SpoolThread&) = delete;
 
-  void add(Served& served);
+  void add(ServedSpool& served);
   /// Returns when serve() does not run and will not run again. Called from serve(), it returns at once.
-  void remove(Served& served);
+  void remove(ServedSpool& served);
   /// Has serve() called soon.
-  void wake(Served& served);
+  void wake(ServedSpool& served);
 
  private:
   struct State {
@@ -43,8 +43,8 @@ class SpoolThread {
     const config::Clock& clock;
     config::Mutex mutex;
     config::ConditionVariable changed;
-    std::map<Served*, Served::Time> due IOTCLOUD_GUARDED_BY(mutex);
-    Served* serving IOTCLOUD_GUARDED_BY(mutex) = nullptr;
+    std::map<ServedSpool*, ServedSpool::Time> due IOTCLOUD_GUARDED_BY(mutex);
+    ServedSpool* serving IOTCLOUD_GUARDED_BY(mutex) = nullptr;
     bool stopping IOTCLOUD_GUARDED_BY(mutex) = false;
   };
   static void run(State& state);

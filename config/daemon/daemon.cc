@@ -47,7 +47,7 @@ int await_signal(const sigset_t& signals, std::chrono::microseconds limit) {
 }
 
 /// Handles SIGHUP. A configuration with errors changes nothing; what the service cannot read again stays as it was.
-void read_again(const std::string& file, Service& service, const Logger& log) {
+void read_again(const std::string& file, DaemonService& service, const Logger& log) {
   try {
     const LogSettings settings = load_log_settings(file);
     apply(settings);
@@ -188,7 +188,7 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
   }
 
   const Logger log{options.name};
-  std::unique_ptr<Service> service;
+  std::unique_ptr<DaemonService> service;
   std::vector<AskedKey> keys;
   if (list_keys) record_asked_keys(&keys);
   try {

@@ -9,9 +9,9 @@
 namespace iotcloud::config {
 
 /// A daemon's parts: built from its configuration file, started, and stopped in order.
-class Service {
+class DaemonService {
  public:
-  virtual ~Service() = default;
+  virtual ~DaemonService() = default;
   /// Returns once the service runs (it may still be connecting), or, if it waits for something, soon after another
   /// thread asked for a stop: then the service may not run, and stop() is next. \throws Error if it cannot start.
   virtual void start(const std::stop_token& stop) = 0;
@@ -34,7 +34,7 @@ struct DaemonOptions {
   std::string name;         ///< "iotcloud-gateway"
   std::string description;  ///< one sentence for --help
   /// Reads and checks the whole configuration, and builds the service without starting it. \throws ConfigError.
-  std::function<std::unique_ptr<Service>(const std::string& config_file)> build;
+  std::function<std::unique_ptr<DaemonService>(const std::string& config_file)> build;
   /// Longest time from the signal to the end of the process, unless the command line says another one; the service gets
   /// a little less.
   std::chrono::milliseconds stop_limit{5000};

@@ -15,10 +15,10 @@ void Batch::answered(std::size_t place, Reply reply) {
   Reply all;
   {
     const config::MutexLock lock(mutex_);
-    away_ = away_ || reply.status == Status::away;
+    away_ = away_ || reply.status == ReplyStatus::away;
     replies_[place] = std::move(reply);
     if (--missing_ > 0) return;
-    all.status = away_ ? Status::away : Status::ok;
+    all.status = away_ ? ReplyStatus::away : ReplyStatus::ok;
   }
   done_(std::move(all));
 }

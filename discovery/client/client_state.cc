@@ -247,7 +247,7 @@ Reply ClientState::call(const std::string& what, const std::function<void(Regist
     });
     lock.lock();
     if (!wait_until(deadline, [&] { return pending->reply.has_value(); })) throw give_up("no answer");
-    if (pending->reply->status != Status::away) {
+    if (pending->reply->status != ReplyStatus::away) {
       if (in_doubt != nullptr) *in_doubt = lost_once;
       return std::move(*pending->reply);
     }
@@ -271,8 +271,8 @@ GuardPtr ClientState::add_watch(std::shared_ptr<Watch> watch) {
   return std::make_unique<WatchGuard>(weak_from_this(), std::move(watch));
 }
 
-GuardPtr ClientState::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& refusal) {
-  refusal = Status::ok;
+GuardPtr ClientState::add_hold(std::shared_ptr<Hold> hold, bool wait, ReplyStatus& refusal) {
+  refusal = ReplyStatus::ok;
   GuardPtr guard;
   const auto add = [&] {
     // From here on the guard cleans up, even if the answer does not come in time.
@@ -284,7 +284,7 @@ GuardPtr ClientState::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& re
     return guard;
   }
   const auto create = [&](RegistryConnection&, Done done) {
-    hold->first_answer = [done = std::move(done)](Status status) {
+    hold->first_answer = [done = std::move(done)](ReplyStatus status) {
       Reply reply;
       reply.status = status;
       done(std::move(reply));
@@ -292,7 +292,7 @@ GuardPtr ClientState::add_hold(std::shared_ptr<Hold> hold, bool wait, Status& re
     add();
   };
   refusal = call("create " + hold->path, create, nullptr).status;
-  if (refusal != Status::ok) guard.reset();
+  if (refusal != ReplyStatus::ok) guard.reset();
   return guard;
 }
 

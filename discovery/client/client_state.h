@@ -47,7 +47,7 @@ class ClientState : public std::enable_shared_from_this<ClientState> {
 
   GuardPtr add_watch(std::shared_ptr<Watch> watch);
   /// \param wait waits for the first creation. \return null, with the reason in `refusal`, if the server refuses it.
-  GuardPtr add_hold(std::shared_ptr<Hold> hold, bool wait, Status& refusal);
+  GuardPtr add_hold(std::shared_ptr<Hold> hold, bool wait, ReplyStatus& refusal);
   GuardPtr add_listener(std::function<void(SessionState)> callback);
   GuardPtr add_timer(std::chrono::milliseconds pause, std::function<void()> callback);
   SessionState session() const {

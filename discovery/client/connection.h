@@ -12,7 +12,7 @@
 namespace iotcloud::discovery {
 
 /// Outcome of one operation at the server.
-enum class Status {
+enum class ReplyStatus {
   ok,
   no_node,
   exists,
@@ -25,7 +25,7 @@ enum class Status {
 };
 
 struct Reply {
-  Status status = Status::away;
+  ReplyStatus status = ReplyStatus::away;
   Node node;                       ///< set by get
   std::string path;                ///< set by create without a fence: the real path
   std::vector<std::string> names;  ///< set by children, sorted

@@ -86,7 +86,7 @@ void Holds::create(const HoldPtr& hold) {
                      on_worker([this, hold, parent, leads_the_way](const Reply& reply) {
                        hold->busy = false;
                        created(hold, reply);
-                       if (leads_the_way && reply.status != Status::no_node) let_through(parent);
+                       if (leads_the_way && reply.status != ReplyStatus::no_node) let_through(parent);
                      }));
 }
 
@@ -102,7 +102,7 @@ void Holds::let_through(const std::string& parent) {
 
 void Holds::created(const HoldPtr& hold, const Reply& reply) {
   switch (reply.status) {
-    case Status::ok:
+    case ReplyStatus::ok:
       if (taken(reply.path)) {  // another hold took this node: take the one that it created
         hold->in_doubt = true;
         step(hold);
@@ -110,22 +110,22 @@ void Holds::created(const HoldPtr& hold, const Reply& reply) {
         settle(hold, reply.path);
       }
       return;
-    case Status::no_node:
+    case ReplyStatus::no_node:
       hold->busy = true;
-      make_parents(hold->path, [this, hold](Status status) {
+      make_parents(hold->path, [this, hold](ReplyStatus status) {
         hold->busy = false;
         let_through(parent_of(hold->path));
-        if (status == Status::ok) {
+        if (status == ReplyStatus::ok) {
           hold->parent_known = true;
           step(hold);
-        } else if (status == Status::away) {
+        } else if (status == ReplyStatus::away) {
           step_later(hold, hold_retry_pause);
         } else {
           refused(hold, status);
         }
       });
       return;
-    case Status::away:
+    case ReplyStatus::away:
       hold->in_doubt = true;
       step_later(hold, hold_retry_pause);
       return;
@@ -151,10 +151,10 @@ void Holds::settle(const HoldPtr& hold, const std::string& real_path) {
     return;
   }
   hold->on_created->deliver_each(dispatcher_, real_path);
-  if (auto answer = std::exchange(hold->first_answer, nullptr)) answer(Status::ok);
+  if (auto answer = std::exchange(hold->first_answer, nullptr)) answer(ReplyStatus::ok);
 }
 
-void Holds::refused(const HoldPtr& hold, Status status) {
+void Holds::refused(const HoldPtr& hold, ReplyStatus status) {
   if (auto answer = std::exchange(hold->first_answer, nullptr)) {
     holds_.erase(hold);
     answer(status);
@@ -162,11 +162,12 @@ void Holds::refused(const HoldPtr& hold, Status status) {
   }
   if (!std::exchange(hold->complained, true)) {
     logger.warn("{} cannot be created for now: {}", hold->path,
-                status == Status::exists   ? "another session's node stands there; waiting for it to go"
-                : status == Status::denied ? "what stands above it belongs to another user of the registry; trying on"
-                                           : "the registry refuses; trying on");
+                status == ReplyStatus::exists ? "another session's node stands there; waiting for it to go"
+                : status == ReplyStatus::denied
+                    ? "what stands above it belongs to another user of the registry; trying on"
+                    : "the registry refuses; trying on");
   }
-  if (status == Status::exists) {
+  if (status == ReplyStatus::exists) {
     wait_for_place(hold);
   } else {
     step_later(hold, refused_pause);
@@ -179,9 +180,9 @@ void Holds::wait_for_place(const HoldPtr& hold) {
   hold->busy = true;
   connection_.get(hold->path, true, on_worker([this, hold, session = session_](const Reply& reply) {
                     hold->busy = false;
-                    if (reply.status == Status::ok && session == session_ && !hold->released) {
+                    if (reply.status == ReplyStatus::ok && session == session_ && !hold->released) {
                       waiting_.emplace(hold->path, hold);
-                    } else if (reply.status == Status::away) {
+                    } else if (reply.status == ReplyStatus::away) {
                       step_later(hold, hold_retry_pause);
                     } else {
                       step(hold);
@@ -206,9 +207,9 @@ void Holds::remove(const HoldPtr& hold) {
   hold->busy = true;
   connection_.get(hold->real_path, false, on_worker([this, hold](const Reply& reply) {
                     hold->busy = false;
-                    if (reply.status == Status::away) {
+                    if (reply.status == ReplyStatus::away) {
                       step_later(hold, hold_retry_pause);
-                    } else if (reply.status == Status::ok && reply.node.owner_session == hold->session) {
+                    } else if (reply.status == ReplyStatus::ok && reply.node.owner_session == hold->session) {
                       remove_own(hold);
                     } else {
                       forget_node(hold);
@@ -221,7 +222,7 @@ void Holds::remove_own(const HoldPtr& hold) {
   hold->busy = true;
   connection_.remove(hold->real_path, -1, {}, on_worker([this, hold](const Reply& reply) {
                        hold->busy = false;
-                       if (reply.status == Status::away) {
+                       if (reply.status == ReplyStatus::away) {
                          step_later(hold, hold_retry_pause);
                        } else {
                          forget_node(hold);
@@ -245,7 +246,7 @@ void Holds::resolve_doubt(const HoldPtr& hold) {
   hold->busy = true;
   connection_.children(parent_of(hold->path), false, on_worker([this, hold](const Reply& reply) {
                          hold->busy = false;
-                         if (reply.status == Status::away) {
+                         if (reply.status == ReplyStatus::away) {
                            step_later(hold, hold_retry_pause);
                            return;
                          }
@@ -273,9 +274,9 @@ void Holds::look_at(const HoldPtr& hold, std::vector<std::string> candidates) {
   hold->busy = true;
   connection_.get(path, false, on_worker([this, hold, path, candidates](const Reply& reply) {
                     hold->busy = false;
-                    if (reply.status == Status::away) {
+                    if (reply.status == ReplyStatus::away) {
                       step_later(hold, hold_retry_pause);
-                    } else if (reply.status == Status::ok && reply.node.owner_session == hold->session &&
+                    } else if (reply.status == ReplyStatus::ok && reply.node.owner_session == hold->session &&
                                reply.node.data == hold->data && !taken(path)) {
                       settle(hold, path);
                     } else {
@@ -284,19 +285,19 @@ void Holds::look_at(const HoldPtr& hold, std::vector<std::string> candidates) {
                   }));
 }
 
-void Holds::make_parents(const std::string& path, const std::function<void(Status)>& next) {
+void Holds::make_parents(const std::string& path, const std::function<void(ReplyStatus)>& next) {
   const std::string parent = parent_of(path);
   connection_.create(parent, "", false, false, {}, on_worker([this, path, parent, next](const Reply& reply) {
-                       if (reply.status == Status::no_node && parent != "/") {
-                         make_parents(parent, [this, path, next](Status status) {
-                           if (status == Status::ok) {
+                       if (reply.status == ReplyStatus::no_node && parent != "/") {
+                         make_parents(parent, [this, path, next](ReplyStatus status) {
+                           if (status == ReplyStatus::ok) {
                              make_parents(path, next);
                            } else {
                              next(status);
                            }
                          });
                        } else {
-                         next(reply.status == Status::exists ? Status::ok : reply.status);
+                         next(reply.status == ReplyStatus::exists ? ReplyStatus::ok : reply.status);
                        }
                      }));
 }

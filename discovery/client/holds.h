@@ -23,7 +23,7 @@ struct Hold {
   std::shared_ptr<Callback<std::string>> on_created;
   /// Called on the worker with the outcome of the first attempt to create the node. If this function is set, a refused
   /// first attempt is not repeated; if it is empty, attempts go on until one succeeds.
-  std::function<void(Status)> first_answer;
+  std::function<void(ReplyStatus)> first_answer;
 
  private:
   friend class Holds;
@@ -60,14 +60,14 @@ class Holds {
   void create(const HoldPtr& hold);
   void created(const HoldPtr& hold, const Reply& reply);
   void settle(const HoldPtr& hold, const std::string& real_path);
-  void refused(const HoldPtr& hold, Status status);
+  void refused(const HoldPtr& hold, ReplyStatus status);
   void wait_for_place(const HoldPtr& hold);
   void remove(const HoldPtr& hold);
   void remove_own(const HoldPtr& hold);
   void let_through(const std::string& parent);
   void resolve_doubt(const HoldPtr& hold);
   void look_at(const HoldPtr& hold, std::vector<std::string> candidates);
-  void make_parents(const std::string& path, const std::function<void(Status)>& next);
+  void make_parents(const std::string& path, const std::function<void(ReplyStatus)>& next);
   bool taken(const std::string& real_path) const { return taken_.contains(real_path); }
   void forget_node(const HoldPtr& hold);
   /// Makes a callback that runs `next` with the answer on the worker.

@@ -27,34 +27,34 @@ RegistryError doubt(const std::string& what) {
                        what + ": the connection was lost meanwhile; whether it took effect is unknown");
 }
 
-bool is_one_of(Status status, std::initializer_list<Status> some) {
+bool is_one_of(ReplyStatus status, std::initializer_list<ReplyStatus> some) {
   return std::find(some.begin(), some.end(), status) != some.end();
 }
 
-RegistryError refusal(const std::string& what, Status status) {
+RegistryError refusal(const std::string& what, ReplyStatus status) {
   switch (status) {
-    case Status::no_node:
+    case ReplyStatus::no_node:
       return RegistryError(RegistryErrorCode::no_node, what + ": no such node");
-    case Status::exists:
+    case ReplyStatus::exists:
       return RegistryError(RegistryErrorCode::exists, what + ": it exists already");
-    case Status::not_empty:
+    case ReplyStatus::not_empty:
       return RegistryError(RegistryErrorCode::not_empty, what + ": it has children");
-    case Status::bad_version:
+    case ReplyStatus::bad_version:
       return RegistryError(RegistryErrorCode::bad_version, what + ": it was changed meanwhile");
-    case Status::bad_path:
+    case ReplyStatus::bad_path:
       return RegistryError(RegistryErrorCode::bad_path, what +
                                                             ": no such path is possible (an ephemeral node cannot "
                                                             "have children, and the root cannot be removed)");
-    case Status::denied:
+    case ReplyStatus::denied:
       return RegistryError(RegistryErrorCode::denied,
                            what +
                                ": it belongs to another user of the registry; are registry.user and "
                                "registry.password_file those of the process that created it?");
-    case Status::fenced:
+    case ReplyStatus::fenced:
       return RegistryError(RegistryErrorCode::fenced,
                            what + ": its fence is gone: what it was to depend on does not hold any more");
-    case Status::ok:
-    case Status::away:
+    case ReplyStatus::ok:
+    case ReplyStatus::away:
       break;
   }
   return RegistryError(RegistryErrorCode::away, what + ": no answer");
@@ -73,7 +73,7 @@ class RegistryClient : public Registry {
   void create(const std::string& path, const std::string& data, bool parents, const Fence& fence) override {
     check(path, data);
     const std::string what = "create " + path;
-    if (path == "/") throw refusal(what, Status::exists);
+    if (path == "/") throw refusal(what, ReplyStatus::exists);
     for (;;) {
       bool in_doubt = false;
       const Reply reply = core_->call(
@@ -82,9 +82,9 @@ class RegistryClient : public Registry {
             connection.create(path, data, false, false, fence, std::move(done));
           },
           &in_doubt);
-      if (reply.status == Status::ok) return;
-      if (in_doubt && is_one_of(reply.status, {Status::exists, Status::fenced})) throw doubt(what);
-      if (reply.status != Status::no_node || !parents || parent_of(path) == "/") throw refusal(what, reply.status);
+      if (reply.status == ReplyStatus::ok) return;
+      if (in_doubt && is_one_of(reply.status, {ReplyStatus::exists, ReplyStatus::fenced})) throw doubt(what);
+      if (reply.status != ReplyStatus::no_node || !parents || parent_of(path) == "/") throw refusal(what, reply.status);
       make(parent_of(path), fence);
     }
   }
@@ -100,8 +100,8 @@ class RegistryClient : public Registry {
           connection.set(path, data, expected_version, fence, std::move(done));
         },
         &in_doubt);
-    if (in_doubt && is_one_of(reply.status, {Status::bad_version, Status::fenced})) throw doubt(what);
-    if (reply.status != Status::ok) throw refusal(what, reply.status);
+    if (in_doubt && is_one_of(reply.status, {ReplyStatus::bad_version, ReplyStatus::fenced})) throw doubt(what);
+    if (reply.status != ReplyStatus::ok) throw refusal(what, reply.status);
   }
 
   std::optional<Node> get(const std::string& path) override {
@@ -109,15 +109,15 @@ class RegistryClient : public Registry {
     Reply reply = core_->call(
         "get " + path, [&](RegistryConnection& connection, Done done) { connection.get(path, false, std::move(done)); },
         nullptr);
-    if (reply.status == Status::no_node) return std::nullopt;
-    if (reply.status != Status::ok) throw refusal("get " + path, reply.status);
+    if (reply.status == ReplyStatus::no_node) return std::nullopt;
+    if (reply.status != ReplyStatus::ok) throw refusal("get " + path, reply.status);
     return std::move(reply.node);
   }
 
   bool remove(const std::string& path, std::int64_t expected_version, const Fence& fence) override {
     check_path(path);
     const std::string what = "remove " + path;
-    if (path == "/") throw refusal(what, Status::bad_path);
+    if (path == "/") throw refusal(what, ReplyStatus::bad_path);
     bool in_doubt = false;
     const Reply reply = core_->call(
         what,
@@ -125,9 +125,9 @@ class RegistryClient : public Registry {
           connection.remove(path, expected_version, fence, std::move(done));
         },
         &in_doubt);
-    if (reply.status == Status::ok) return true;
-    if (reply.status == Status::no_node) return in_doubt;
-    if (in_doubt && is_one_of(reply.status, {Status::bad_version, Status::fenced})) throw doubt(what);
+    if (reply.status == ReplyStatus::ok) return true;
+    if (reply.status == ReplyStatus::no_node) return in_doubt;
+    if (in_doubt && is_one_of(reply.status, {ReplyStatus::bad_version, ReplyStatus::fenced})) throw doubt(what);
     throw refusal(what, reply.status);
   }
 
@@ -136,8 +136,8 @@ class RegistryClient : public Registry {
     Reply reply = core_->call(
         "children of " + path,
         [&](RegistryConnection& connection, Done done) { connection.children(path, false, std::move(done)); }, nullptr);
-    if (reply.status == Status::no_node) return std::nullopt;
-    if (reply.status != Status::ok) throw refusal("children of " + path, reply.status);
+    if (reply.status == ReplyStatus::no_node) return std::nullopt;
+    if (reply.status != ReplyStatus::ok) throw refusal("children of " + path, reply.status);
     return std::move(reply.names);
   }
 
@@ -148,9 +148,9 @@ class RegistryClient : public Registry {
       connection.get(path, false, std::move(done));
     };
     for_each_answer("get ", paths, read, [&](const std::string& path, Reply& reply) {
-      if (reply.status == Status::no_node) {
+      if (reply.status == ReplyStatus::no_node) {
         nodes.emplace_back();
-      } else if (reply.status == Status::ok) {
+      } else if (reply.status == ReplyStatus::ok) {
         nodes.emplace_back(std::move(reply.node));
       } else {
         throw refusal("get " + path, reply.status);
@@ -166,9 +166,9 @@ class RegistryClient : public Registry {
       connection.children(path, false, std::move(done));
     };
     for_each_answer("children of ", paths, read, [&](const std::string& path, Reply& reply) {
-      if (reply.status == Status::no_node) {
+      if (reply.status == ReplyStatus::no_node) {
         lists.emplace_back();
-      } else if (reply.status == Status::ok) {
+      } else if (reply.status == ReplyStatus::ok) {
         lists.emplace_back(std::move(reply.names));
       } else {
         throw refusal("children of " + path, reply.status);
@@ -249,7 +249,7 @@ class RegistryClient : public Registry {
     hold->data = data;
     hold->sequential = sequential;
     hold->on_created = std::make_shared<Callback<std::string>>(std::move(on_created));
-    Status status = Status::ok;
+    ReplyStatus status = ReplyStatus::ok;
     GuardPtr guard = core_->add_hold(std::move(hold), wait, status);
     if (!guard) throw refusal("create " + path, status);
     return guard;

@@ -108,9 +108,9 @@ void Watches::answered(const PlacePtr& place, Reply reply) {
   place->reading = false;
   if (place->watches.empty()) return;
   const bool again = std::exchange(place->again, false);
-  if (reply.status != Status::ok && reply.status != Status::no_node) {
+  if (reply.status != ReplyStatus::ok && reply.status != ReplyStatus::no_node) {
     // If the connection was lost, the next connected() reads again; otherwise the read that is scheduled here does.
-    const bool denied = reply.status == Status::denied;
+    const bool denied = reply.status == ReplyStatus::denied;
     if (denied && !std::exchange(place->complained, true)) {
       logger.warn(
           "{} cannot be watched: it belongs to another user of the registry; are registry.user and "
@@ -131,7 +131,7 @@ void Watches::report(Place& place, Reply reply) {
   bool fresh = place.status != reply.status;
   if (place.lists_children) {
     std::optional<std::vector<std::string>> names;
-    if (reply.status == Status::ok) names = std::move(reply.names);
+    if (reply.status == ReplyStatus::ok) names = std::move(reply.names);
     fresh = fresh || *place.names != names;
     if (fresh) place.names = std::make_shared<const std::optional<std::vector<std::string>>>(std::move(names));
   } else {
@@ -150,7 +150,7 @@ void Watches::report(Place& place, Reply reply) {
       watch->on_children->deliver_latest(dispatcher_, place.names);
     } else {
       std::optional<Node> node;
-      if (reply.status == Status::ok) node = reply.node;
+      if (reply.status == ReplyStatus::ok) node = reply.node;
       watch->on_node->deliver_latest(dispatcher_, std::move(node));
     }
   }

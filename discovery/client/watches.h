@@ -33,7 +33,7 @@ struct Watch {
 
 /// Turns the server's one-shot watches into lasting ones: after each change it reads again, which sets the next watch.
 /// It reads the first change at once; further changes wait for a few milliseconds and are read together. Several
-/// watches of one path share a read. All methods run on the worker.
+/// watches of one path share a read. All methods run on the worker thread.
 class Watches {
  public:
   Watches(RegistryConnection& connection, SerialThread& worker, SerialThread& dispatcher)
@@ -61,7 +61,7 @@ class Watches {
     SerialThread::Instant last_read = SerialThread::Instant::min();
     // The state that was reported last; without a status nothing was reported yet. `version`, `created` and a hash of
     // the data show whether a node has changed: a server that was emptied counts versions and creations anew.
-    std::optional<Status> status;
+    std::optional<ReplyStatus> status;
     std::int64_t version = 0;
     std::int64_t created = 0;
     std::size_t data_hash = 0;

@@ -87,16 +87,16 @@ bool is_empty(const Value& value) {
 }
 
 /// A value of the right type that its field cannot take.
-struct Unfit : std::runtime_error {
+struct UnfitValue : std::runtime_error {
   using runtime_error::runtime_error;
 };
 
 template <typename Json, typename Number>
 void read_whole(const Json& json, Number& number) {
-  if (!json.is_number_integer()) throw Unfit(std::string("a whole number is wanted, not ") + json.type_name());
+  if (!json.is_number_integer()) throw UnfitValue(std::string("a whole number is wanted, not ") + json.type_name());
   const bool fits = json.is_number_unsigned() ? std::in_range<Number>(json.template get<std::uint64_t>())
                                               : std::in_range<Number>(json.template get<std::int64_t>());
-  if (!fits) throw Unfit("the number " + json.dump() + " is out of range");
+  if (!fits) throw UnfitValue("the number " + json.dump() + " is out of range");
   number = static_cast<Number>(json.template get<std::int64_t>());
 }
 
@@ -211,7 +211,7 @@ Struct from_json(const Json& json, const std::string& path) {
       field.arrive(field.own(value), [&](auto& travelling) { detail::read(*found, travelling, path); });
     } catch (const typename Json::exception& error) {
       throw config::Error(what + key + ": " + error.what());
-    } catch (const detail::Unfit& error) {
+    } catch (const detail::UnfitValue& error) {
       throw config::Error(what + key + ": " + error.what());
     }
   });

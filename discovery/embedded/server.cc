@@ -8,7 +8,7 @@
 namespace iotcloud::discovery::embedded {
 namespace {
 
-Reply with_status(Status status) {
+Reply with_status(ReplyStatus status) {
   Reply reply;
   reply.status = status;
   return reply;
@@ -187,23 +187,24 @@ void RegistryServer::create(std::int64_t session, const std::string& path, const
   const config::MutexLock lock(mutex_);
   Reply reply;
   if (reachable(session)) {
-    reply.status = stands(fence) ? put_node(session, path, data, ephemeral, sequential, reply.path) : Status::fenced;
+    reply.status =
+        stands(fence) ? put_node(session, path, data, ephemeral, sequential, reply.path) : ReplyStatus::fenced;
     Session& own = sessions_.at(session);
     if (std::exchange(own.loses_answer, false)) {
-      reply = with_status(Status::away);
+      reply = with_status(ReplyStatus::away);
       cut_off(own);
     }
   }
   done(std::move(reply));
 }
 
-Status RegistryServer::put_node(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
-                                bool sequential, std::string& real_path) {
+ReplyStatus RegistryServer::put_node(std::int64_t session, const std::string& path, const std::string& data,
+                                     bool ephemeral, bool sequential, std::string& real_path) {
   const std::string parent_path = parent_of(path);
   const auto parent = tree_.find(parent_path);
-  if (path == "/") return Status::exists;
-  if (parent == tree_.end()) return Status::no_node;
-  if (parent->second.node.ephemeral) return Status::bad_path;
+  if (path == "/") return ReplyStatus::exists;
+  if (parent == tree_.end()) return ReplyStatus::no_node;
+  if (parent->second.node.ephemeral) return ReplyStatus::bad_path;
   real_path = sequential ? fmt::format("{}{:010}", path, parent->second.next_sequence) : path;
   Entry entry;
   entry.node.data = data;
@@ -211,37 +212,37 @@ Status RegistryServer::put_node(std::int64_t session, const std::string& path, c
   entry.node.modified_ms = clock_->wall_ms();
   entry.node.ephemeral = ephemeral;
   entry.node.owner_session = ephemeral ? session : 0;
-  if (!tree_.emplace(real_path, std::move(entry)).second) return Status::exists;
+  if (!tree_.emplace(real_path, std::move(entry)).second) return ReplyStatus::exists;
   ++last_change_;
   ++parent->second.next_sequence;
   parent->second.children.insert(name_of(real_path));
   fire(node_watchers_, real_path);
   fire(children_watchers_, real_path);
   fire(children_watchers_, parent_path);
-  return Status::ok;
+  return ReplyStatus::ok;
 }
 
 void RegistryServer::set(std::int64_t session, const std::string& path, const std::string& data,
                          std::int64_t expected_version, const Fence& fence, const Done& done) {
   const config::MutexLock lock(mutex_);
   if (!reachable(session)) {
-    done(with_status(Status::away));
+    done(with_status(ReplyStatus::away));
     return;
   }
   const auto found = tree_.find(path);
   if (!stands(fence)) {
-    done(with_status(Status::fenced));
+    done(with_status(ReplyStatus::fenced));
   } else if (found == tree_.end()) {
-    done(with_status(Status::no_node));
+    done(with_status(ReplyStatus::no_node));
   } else if (expected_version >= 0 && found->second.node.version != expected_version) {
-    done(with_status(Status::bad_version));
+    done(with_status(ReplyStatus::bad_version));
   } else {
     found->second.node.data = data;
     ++found->second.node.version;
     found->second.node.modified_ms = clock_->wall_ms();
     ++last_change_;
     fire(node_watchers_, path);
-    done(with_status(Status::ok));
+    done(with_status(ReplyStatus::ok));
   }
 }
 
@@ -249,23 +250,23 @@ void RegistryServer::remove(std::int64_t session, const std::string& path, std::
                             const Fence& fence, const Done& done) {
   const config::MutexLock lock(mutex_);
   if (!reachable(session)) {
-    done(with_status(Status::away));
+    done(with_status(ReplyStatus::away));
     return;
   }
   const auto found = tree_.find(path);
   if (!stands(fence)) {
-    done(with_status(Status::fenced));
+    done(with_status(ReplyStatus::fenced));
   } else if (path == "/") {
-    done(with_status(Status::bad_path));
+    done(with_status(ReplyStatus::bad_path));
   } else if (found == tree_.end()) {
-    done(with_status(Status::no_node));
+    done(with_status(ReplyStatus::no_node));
   } else if (expected_version >= 0 && found->second.node.version != expected_version) {
-    done(with_status(Status::bad_version));
+    done(with_status(ReplyStatus::bad_version));
   } else if (!found->second.children.empty()) {
-    done(with_status(Status::not_empty));
+    done(with_status(ReplyStatus::not_empty));
   } else {
     erase(path);
-    done(with_status(Status::ok));
+    done(with_status(ReplyStatus::ok));
   }
 }
 
@@ -274,12 +275,12 @@ void RegistryServer::read(std::int64_t session, const std::string& path, Watcher
                           Fill&& fill) {
   const config::MutexLock lock(mutex_);
   if (!reachable(session)) {
-    done(with_status(Status::away));
+    done(with_status(ReplyStatus::away));
     return;
   }
   if (watchers) (*watchers)[path].insert(session);
   const auto found = tree_.find(path);
-  Reply reply = with_status(found == tree_.end() ? Status::no_node : Status::ok);
+  Reply reply = with_status(found == tree_.end() ? ReplyStatus::no_node : ReplyStatus::ok);
   if (found != tree_.end()) fill(reply, found->second);
   done(std::move(reply));
 }

@@ -96,8 +96,8 @@ class RegistryServer : public std::enable_shared_from_this<RegistryServer> {
   bool stands(const Fence& fence) const IOTCLOUD_REQUIRES(mutex_) {
     return fence.path.empty() || tree_.contains(fence.path);
   }
-  Status put_node(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
-                  bool sequential, std::string& real_path) IOTCLOUD_REQUIRES(mutex_);
+  ReplyStatus put_node(std::int64_t session, const std::string& path, const std::string& data, bool ephemeral,
+                       bool sequential, std::string& real_path) IOTCLOUD_REQUIRES(mutex_);
   void erase(const std::string& path) IOTCLOUD_REQUIRES(mutex_);
   void drop_nodes(std::int64_t session) IOTCLOUD_REQUIRES(mutex_);
   void forget_watches(std::int64_t session) IOTCLOUD_REQUIRES(mutex_);

@@ -107,12 +107,12 @@ class ZooKeeperConnection : public RegistryConnection {
   /// the read is repeated.
   Done watching(const std::string& path, Done done, std::function<void(Done)> read_again) {
     return [this, path, done = std::move(done), read_again = std::move(read_again)](Reply reply) {
-      if (reply.status != Status::no_node) {
+      if (reply.status != ReplyStatus::no_node) {
         done(std::move(reply));
         return;
       }
       Done on_exists = [done, read_again](Reply exists) {
-        if (exists.status == Status::ok) {
+        if (exists.status == ReplyStatus::ok) {
           read_again(done);
         } else {
           done(std::move(exists));

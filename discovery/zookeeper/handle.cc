@@ -34,26 +34,26 @@ void library_log(const char* message) {
 
 }  // namespace
 
-Status to_status(int code) {
+ReplyStatus to_status(int code) {
   switch (code) {
     case ZOK:
-      return Status::ok;
+      return ReplyStatus::ok;
     case ZNONODE:
-      return Status::no_node;
+      return ReplyStatus::no_node;
     case ZNODEEXISTS:
-      return Status::exists;
+      return ReplyStatus::exists;
     case ZNOTEMPTY:
-      return Status::not_empty;
+      return ReplyStatus::not_empty;
     case ZBADVERSION:
-      return Status::bad_version;
+      return ReplyStatus::bad_version;
     case ZNOCHILDRENFOREPHEMERALS:
     case ZBADARGUMENTS:
-      return Status::bad_path;
+      return ReplyStatus::bad_path;
     case ZNOAUTH:
     case ZINVALIDACL:
-      return Status::denied;
+      return ReplyStatus::denied;
     default:
-      return Status::away;  // the connection or session is lost, or soon will be
+      return ReplyStatus::away;  // the connection or session is lost, or soon will be
   }
 }
 
@@ -215,7 +215,7 @@ void Handle::on_fenced(int code, const void* request) {
   Reply reply = with_status(code);
   // In a failed transaction only the operation that failed has an error that says so.
   if (code == ZNONODE && static_cast<const Request*>(request)->results.front().err == ZNONODE) {
-    reply.status = Status::fenced;
+    reply.status = ReplyStatus::fenced;
   }
   finish(request, std::move(reply));
 }

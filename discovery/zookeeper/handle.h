@@ -16,7 +16,7 @@
 namespace iotcloud::discovery::zookeeper {
 
 /// Translates a result code of the C client.
-Status to_status(int code);
+ReplyStatus to_status(int code);
 
 /// One handle of the C client, which is one session, and its unanswered requests. Thread safe.
 ///

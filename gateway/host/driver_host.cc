@@ -148,7 +148,7 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   std::map<discovery::InstanceId, std::shared_ptr<DriverInstance>> instances IOTCLOUD_GUARDED_BY(mutex);
   /// The instances that have no lease, and whether each has closed: only then may its successor open its channels.
   std::map<discovery::InstanceId, bool> suspended IOTCLOUD_GUARDED_BY(mutex);
-  Confirmation confirmation IOTCLOUD_GUARDED_BY(mutex);
+  LeaseConfirmation confirmation IOTCLOUD_GUARDED_BY(mutex);
   std::int64_t confirmed_ms IOTCLOUD_GUARDED_BY(mutex) = 0;  ///< wall time at which the latest confirmation came
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
   std::string left IOTCLOUD_GUARDED_BY(mutex);                      ///< why stop() returned false

@@ -39,13 +39,13 @@ void check_lease(const std::map<std::string, std::string>& properties, milliseco
                   lease->count(), session_timeout.count()));
 }
 
-bool Confirmation::renew(config::Clock::Instant at) {
+bool LeaseConfirmation::renew(config::Clock::Instant at) {
   if (latest_ && at <= *latest_) return false;
   latest_ = at;
   return true;
 }
 
-std::chrono::nanoseconds Confirmation::left(milliseconds lease, config::Clock::Instant now) const {
+std::chrono::nanoseconds LeaseConfirmation::left(milliseconds lease, config::Clock::Instant now) const {
   if (!latest_) return std::chrono::nanoseconds{0};
   return std::max<std::chrono::nanoseconds>(*latest_ + lease - now, std::chrono::nanoseconds{0});
 }

@@ -20,7 +20,7 @@ std::optional<std::chrono::milliseconds> lease_of(const std::map<std::string, st
 void check_lease(const std::map<std::string, std::string>& properties, std::chrono::milliseconds session_timeout);
 
 /// When the registry last confirmed a gateway's place. Not thread safe.
-class Confirmation {
+class LeaseConfirmation {
  public:
   /// \param at when the gateway asked. An earlier one than before changes nothing. \return whether it is later.
   bool renew(config::Clock::Instant at);

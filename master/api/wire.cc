@@ -12,7 +12,7 @@ using discovery::wire::TResponseState;
 
 // Our enumerations go over the wire as their numbers, which must be those of Thrift's enumerations.
 static_assert(static_cast<int>(OrderOutcome::unknown) == wire::TOutcome::UNKNOWN);
-static_assert(static_cast<int>(Refusal::not_allowed) == wire::TRefusal::NOT_ALLOWED);
+static_assert(static_cast<int>(OrderRefusal::not_allowed) == wire::TRefusal::NOT_ALLOWED);
 static_assert(static_cast<int>(TopologyChange::kill) == wire::TTopologyChange::KILL);
 
 namespace {
@@ -75,7 +75,7 @@ wire::TOrderResponse to_wire(const OrderResult& result) {
 
 OrderResult from_wire(wire::TOrderResponse answer) {
   auto result = as_own<OrderResult>(answer);
-  if (result.refusal != Refusal::none) result.text = std::move(answer.response.statusMessage);
+  if (result.refusal != OrderRefusal::none) result.text = std::move(answer.response.statusMessage);
   return result;
 }
 
@@ -85,13 +85,13 @@ wire::TTopologyResponse to_wire(const TopologyResult& result) {
 
 TopologyResult from_wire(wire::TTopologyResponse answer) {
   auto result = as_own<TopologyResult>(answer);
-  if (result.refusal != Refusal::none) result.text = std::move(answer.response.statusMessage);
+  if (result.refusal != OrderRefusal::none) result.text = std::move(answer.response.statusMessage);
   return result;
 }
 
 wire::TUploadResponse to_wire(const UploadResult& result) {
   auto out = as_wire<wire::TUploadResponse>(result);
-  out.__set_response(result.refusal.refusal == Refusal::none ? success() : failure(result.refusal.text));
+  out.__set_response(result.refusal.refusal == OrderRefusal::none ? success() : failure(result.refusal.text));
   return out;
 }
 

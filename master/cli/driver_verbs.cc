@@ -54,7 +54,7 @@ class Drivers final : public WatchedVerb {
   }
 
  private:
-  Choice choice_;
+  InstanceChoice choice_;
 };
 
 }  // namespace

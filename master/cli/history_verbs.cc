@@ -67,7 +67,7 @@ class OfOne : public Verb {
   }
 
  protected:
-  /// \throws Failed when there is none.
+  /// \throws RequestFailed when there is none.
   DriverRecord find(MasterClient& master) const { return driver_of(ids_.front(), master); }
 
  private:
@@ -123,7 +123,7 @@ class History final : public Verb {
     const auto master = call.connect();
     const auto history = master->history(ids_of_names(instances_, *master), gateways_, lines_);
     if (history.changes.empty() && history.silent.empty() && !instances_.empty()) {
-      throw Failed(
+      throw RequestFailed(
           fmt::format("no gateway remembers a change of state of \"{}\"; they remember the latest since they "
                       "started, `iotcloud history` lists them",
                       fmt::join(instances_, "\", \"")));

@@ -43,7 +43,7 @@ std::vector<std::string> texts(const std::vector<discovery::GatewayId>& ids) {
 }
 
 discovery::ChannelLook without_problem(discovery::ChannelLook look) {
-  if (!look.problem.empty()) throw Failed(look.problem);
+  if (!look.problem.empty()) throw RequestFailed(look.problem);
   return look;
 }
 
@@ -84,10 +84,10 @@ struct MasterClient::Impl {
     return no_tls ? fmt::format("{} (does it ask for TLS? --ca, --certificate and --key)", e.what()) : e.what();
   }
 
-  /// \throws TException when there is no master at this address; Failed when it must not see the token.
+  /// \throws TException when there is no master at this address; RequestFailed when it must not see the token.
   void connect(const std::string& to) {
     client.reset();
-    if (const auto why = open_way(access, to); !why.empty()) throw Failed(why);
+    if (const auto why = open_way(access, to); !why.empty()) throw RequestFailed(why);
     const auto [host, port] = split(to);
     rpc::ThriftClientOptions options;
     options.host = host;
@@ -118,7 +118,7 @@ struct MasterClient::Impl {
     discovery::wire::TResponse answer;
     fresh.authenticate(answer, access.token);
     if (answer.state != discovery::wire::TResponseState::SUCCESS)
-      throw Failed(fmt::format("master {}: {}", to, answer.statusMessage));
+      throw RequestFailed(fmt::format("master {}: {}", to, answer.statusMessage));
   }
 
   void connect_any() {
@@ -163,16 +163,16 @@ struct MasterClient::Impl {
       (client.get()->*question)(answer, arguments...);
       return answer;
     } catch (const wire::TMasterError& e) {
-      throw Failed(fmt::format("master {}: {}", address, e.reason));
+      throw RequestFailed(fmt::format("master {}: {}", address, e.reason));
     } catch (const TApplicationException& e) {
       if (e.getType() == TApplicationException::UNKNOWN_METHOD) {
-        throw Failed(
+        throw RequestFailed(
             fmt::format("master {} runs an older version, which does not know this question: update it", address));
       }
-      throw Failed(fmt::format("master {}: {}", address, e.what()));
+      throw RequestFailed(fmt::format("master {}: {}", address, e.what()));
     } catch (const TException& e) {
       client.reset();
-      throw Failed(fmt::format("master {} did not answer the question: {}", address, text_of(e)));
+      throw RequestFailed(fmt::format("master {} did not answer the question: {}", address, text_of(e)));
     }
   }
 
@@ -212,10 +212,10 @@ struct MasterClient::Impl {
       try {
         (client.get()->*method)(answer, arguments...);
       } catch (const TApplicationException& e) {
-        throw Failed(fmt::format("master {}: {}", address, e.what()));
+        throw RequestFailed(fmt::format("master {}: {}", address, e.what()));
       } catch (const TException& e) {
         client.reset();
-        throw Failed(
+        throw RequestFailed(
             fmt::format("the answer of master {} was lost ({}): the order may have been taken; `iotcloud "
                         "drivers` and `iotcloud topology list` show what is there",
                         address, e.what()));
@@ -228,7 +228,7 @@ struct MasterClient::Impl {
       if (!leader.empty() && leader != standby) {
         if (const auto why = open_way(access, leader); !why.empty()) {
           // The leader may have another address here: the near end of a tunnel.
-          if (++out_of_reach >= addresses.size() || !connect_other()) throw Failed(why);
+          if (++out_of_reach >= addresses.size() || !connect_other()) throw RequestFailed(why);
           continue;
         }
         try {

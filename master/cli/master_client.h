@@ -22,7 +22,7 @@ class Unreachable : public std::runtime_error {
 };
 
 /// A master answered that it cannot do what was asked, or the connection broke while an order was on its way.
-class Failed : public std::runtime_error {
+class RequestFailed : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
@@ -42,7 +42,7 @@ class MasterClient {
   MasterClient(std::vector<std::string> addresses, MasterAccess access, std::chrono::milliseconds election_patience);
   ~MasterClient();
 
-  /// \throws Unreachable, Failed
+  /// \throws Unreachable, RequestFailed
   MasterStatus status();
   std::vector<discovery::GatewayStatus> gateways();
   std::vector<discovery::DriverRecord> drivers();
@@ -56,8 +56,8 @@ class MasterClient {
   LogPart read_log(const discovery::GatewayId& gateway, const discovery::InstanceId& instance,
                    const std::string& position, std::int32_t most_bytes);
 
-  /// Looks at a channel of an instance of this gateway, and hands an instance a message. \throws Unreachable, Failed,
-  /// also when the answer names a problem
+  /// Looks at a channel of an instance of this gateway, and hands an instance a message. \throws Unreachable,
+  /// RequestFailed, also when the answer names a problem
   discovery::ChannelLook look_at_channel(const discovery::GatewayId& gateway, const discovery::LookRequest& request);
   discovery::ChannelLook hand_message(const discovery::GatewayId& gateway, const discovery::HandedMessage& message);
   /// \param gateways empty: all
@@ -68,7 +68,7 @@ class MasterClient {
                           const std::string& target);
 
   /// Gives an order to the master that leads. An order is sent once: when its answer is lost, it is not repeated.
-  /// \throws Unreachable, Failed
+  /// \throws Unreachable, RequestFailed
   OrderResult deploy(const DeployRequest& request);
   OrderResult undeploy(const InstanceSelection& selection);
   OrderResult start(const InstanceSelection& selection);
@@ -87,7 +87,7 @@ class MasterClient {
   TopologyResult order(const TopologyRequest& request);
 
   /// A plugin is offered to the master that leads, and sent to the one that took the offer.
-  /// \throws Unreachable, Failed
+  /// \throws Unreachable, RequestFailed
   UploadResult offer_plugin(const PluginOffer& offer, const std::vector<discovery::GatewayId>& gateways);
   UploadResult send_plugin(const std::string& upload, std::int64_t offset, const std::string& bytes);
   UploadResult finish_plugin(const std::string& upload);

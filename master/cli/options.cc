@@ -96,10 +96,11 @@ discovery::InstanceId completed(const std::string& word, const std::vector<Drive
                                 printable(driver->gateway)));
   }
   if (is_named(*found.front(), word)) {
-    throw Ambiguous(fmt::format("\"{}\" is the name of {} instances; give an id, or say --name for all of them:\n  {}",
-                                word, found.size(), fmt::join(lines, "\n  ")));
+    throw AmbiguousId(
+        fmt::format("\"{}\" is the name of {} instances; give an id, or say --name for all of them:\n  {}", word,
+                    found.size(), fmt::join(lines, "\n  ")));
   }
-  throw Ambiguous(
+  throw AmbiguousId(
       fmt::format("\"{}\" begins {} ids; give more of it:\n  {}", word, found.size(), fmt::join(lines, "\n  ")));
 }
 
@@ -160,11 +161,11 @@ CLI::Option& add_plugin(CLI::App& options, std::string& plugin) {
               ->type_name("FILE");
 }
 
-void Choice::add_ids(CLI::App& options, const char* what) {
+void InstanceChoice::add_ids(CLI::App& options, const char* what) {
   options.add_option("ID", instances, what);
 }
 
-void Choice::add_what_they_are(CLI::App& options, const char* gateways_what) {
+void InstanceChoice::add_what_they_are(CLI::App& options, const char* gateways_what) {
   add_gateways(options, gateways, gateways_what);
   options.add_option("--driver", driver, "only of this driver")->type_name("DRIVER");
   options.add_option("--name", name, "only of the deployment of this name")->type_name("NAME");
@@ -180,20 +181,20 @@ void Choice::add_what_they_are(CLI::App& options, const char* gateways_what) {
       ->check(CLI::Validator([](std::string& text) { return text.empty() ? "it is empty" : ""; }, ""));
 }
 
-bool Choice::has_conditions() const {
+bool InstanceChoice::has_conditions() const {
   return all || !name.empty() || !driver.empty() || !state.empty() || !where.empty();
 }
 
-void Choice::check_order() const {
+void InstanceChoice::check_order() const {
   if (instances.empty() && !has_conditions())
     throw CLI::RequiredError("ID, or --where, --name, --driver, --state or --all,");
   // Words after -g may be gateways: with_all_gateways() finds out.
   if (!instances.empty() && gateways.empty() && has_conditions()) throw CLI::ValidationError("ID", not_both);
 }
 
-Choice Choice::with_all_gateways(MasterClient& master) const {
+InstanceChoice InstanceChoice::with_all_gateways(MasterClient& master) const {
   if (gateways.empty() || instances.empty()) return *this;
-  Choice choice = *this;
+  InstanceChoice choice = *this;
   choice.instances.clear();
   const auto known = master.gateways();
   for (const auto& word : instances) {
@@ -202,7 +203,7 @@ Choice Choice::with_all_gateways(MasterClient& master) const {
     if (is_gateway) {
       choice.gateways.emplace_back(word);
     } else if (has_conditions()) {
-      throw Failed(fmt::format("\"{}\" is no gateway: {}", word, not_both));
+      throw RequestFailed(fmt::format("\"{}\" is no gateway: {}", word, not_both));
     } else {
       choice.instances.push_back(word);
     }
@@ -210,13 +211,13 @@ Choice Choice::with_all_gateways(MasterClient& master) const {
   return choice;
 }
 
-std::vector<DriverRecord> Choice::drivers(MasterClient& master) const {
+std::vector<DriverRecord> InstanceChoice::drivers(MasterClient& master) const {
   const auto selection = selection_of(where);
   return with_all_gateways(master).chosen(sorted_drivers(master), selection);
 }
 
-std::vector<DriverRecord> Choice::chosen(std::vector<DriverRecord> drivers,
-                                         const discovery::Selection& selection) const {
+std::vector<DriverRecord> InstanceChoice::chosen(std::vector<DriverRecord> drivers,
+                                                 const discovery::Selection& selection) const {
   std::set<discovery::InstanceId> wanted;
   for (const auto& word : instances) {
     for (const auto* one : meant(word, drivers)) wanted.insert(one->instance);
@@ -230,12 +231,14 @@ std::vector<DriverRecord> Choice::chosen(std::vector<DriverRecord> drivers,
   return drivers;
 }
 
-std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
-  if (instances.empty() && !has_conditions()) throw Failed("an order for all instances of gateways takes --all, too");
+std::vector<discovery::InstanceId> InstanceChoice::ids(MasterClient& master) const {
+  if (instances.empty() && !has_conditions())
+    throw RequestFailed("an order for all instances of gateways takes --all, too");
   std::vector<discovery::InstanceId> ids;
   if (!instances.empty()) {
     auto all_drivers = sorted_drivers(master);
-    // Whole ids need no orders, which viewers may not list: the master then refuses the verb by its own name.
+    // Only the beginning of an id is completed by the orders, too. Viewers may not list them: with whole ids the master
+    // refuses the verb that they called, not the listing.
     const bool whole = std::all_of(instances.begin(), instances.end(), [&](const std::string& word) {
       return std::any_of(all_drivers.begin(), all_drivers.end(),
                          [&](const DriverRecord& one) { return one.instance == word; });
@@ -248,12 +251,9 @@ std::vector<discovery::InstanceId> Choice::ids(MasterClient& master) const {
   auto drivers = sorted_drivers(master);
   add_not_taken_up(drivers, master.orders());
   for (const auto& one : chosen(std::move(drivers), selection)) ids.push_back(one.instance);
-  if (ids.empty()) throw Failed("no driver instance is chosen by these options; `iotcloud drivers` takes them too");
+  if (ids.empty())
+    throw RequestFailed("no driver instance is chosen by these options; `iotcloud drivers` takes them too");
   return ids;
-}
-
-discovery::InstanceId full_id(const std::string& word, MasterClient& master) {
-  return completed(word, sorted_drivers(master));
 }
 
 DriverRecord driver_of(const std::string& word, MasterClient& master) {
@@ -262,7 +262,7 @@ DriverRecord driver_of(const std::string& word, MasterClient& master) {
   for (auto& driver : drivers) {
     if (driver.instance == id) return std::move(driver);
   }
-  throw Failed(fmt::format(
+  throw RequestFailed(fmt::format(
       "no driver instance \"{}\"; `iotcloud drivers` lists them, `iotcloud history` those that are gone too", word));
 }
 

@@ -17,7 +17,7 @@ class Option;
 namespace iotcloud::master::cli {
 
 /// The command line is ambiguous: the beginning of an id fits several instances.
-class Ambiguous : public std::runtime_error {
+class AmbiguousId : public std::runtime_error {
  public:
   using std::runtime_error::runtime_error;
 };
@@ -40,7 +40,7 @@ CLI::Option& add_plugin(CLI::App& options, std::string& plugin);
 std::string bytes_of(const std::string& path);
 
 /// Which driver instances a verb is for: those with some ids, or those that meet all conditions that are given.
-struct Choice {
+struct InstanceChoice {
   std::vector<std::string> instances;          ///< ids, or beginnings of ids
   std::vector<discovery::GatewayId> gateways;  ///< on these only
   discovery::DriverName driver;                ///< only of this driver
@@ -55,16 +55,16 @@ struct Choice {
   void check_order() const;
 
   /// The same choice where `-g lab1 lab2` was given, of which the parser takes the second gateway for an instance. An
-  /// order asks for its ids() and gateways. \throws Failed when there are conditions and a word that is no gateway;
-  /// Unreachable
-  Choice with_all_gateways(MasterClient& master) const;
+  /// order asks for its ids() and gateways. \throws RequestFailed when there are conditions and a word that is no
+  /// gateway; Unreachable
+  InstanceChoice with_all_gateways(MasterClient& master) const;
   /// The records of the chosen instances, sorted by driver, gateway and id.
-  /// \throws std::invalid_argument for a wrong `where`, before a master is asked; Unreachable, Failed
+  /// \throws std::invalid_argument for a wrong `where`, before a master is asked; Unreachable, RequestFailed
   std::vector<discovery::DriverRecord> drivers(MasterClient& master) const;
   /// The full ids of the chosen instances, with those that are ordered and that their gateways have not taken up yet
   /// (their state is `ordered`). An id that no record begins with is kept as it is, because its gateway may
   /// not have followed its order yet.
-  /// \throws Ambiguous; Failed, also when no instance fits; and what drivers() throws
+  /// \throws AmbiguousId; RequestFailed, also when no instance fits; and what drivers() throws
   std::vector<discovery::InstanceId> ids(MasterClient& master) const;
 
  private:
@@ -73,11 +73,8 @@ struct Choice {
                                               const discovery::Selection& selection) const;
 };
 
-/// The id of the instance with this name ("meter/2", or "meter" if it is the only one), or the full id that begins with
-/// this text. \throws Ambiguous, Unreachable, Failed
-discovery::InstanceId full_id(const std::string& word, MasterClient& master);
-/// The record of the instance with this id, beginning of an id, or name. \throws as full_id(), and Failed when there is
-/// no record.
+/// The record of the instance with this name ("meter/2", or "meter" if it is the only one), or with the id that begins
+/// with this text. \throws AmbiguousId, Unreachable; RequestFailed, also when there is no record.
 discovery::DriverRecord driver_of(const std::string& word, MasterClient& master);
 /// The words, with the ids of present instances in place of names; ids, and beginnings of ids, stay as they are.
 std::vector<std::string> ids_of_names(const std::vector<std::string>& words, MasterClient& master);

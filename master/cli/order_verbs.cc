@@ -207,7 +207,7 @@ class Deploy final : public Verb {
       draining = draining || gateway.draining;
       if (!gateway.draining) ids.push_back(gateway.record.id);
     }
-    if (ids.empty() && draining) throw Failed("all gateways are draining; `iotcloud undrain GATEWAY` ends that");
+    if (ids.empty() && draining) throw RequestFailed("all gateways are draining; `iotcloud undrain GATEWAY` ends that");
     return ids;
   }
 
@@ -228,7 +228,7 @@ class ForInstances : public Verb {
   void check() override { choice_.check_order(); }
   int run(Call& call) override {
     const auto master = call.connect();
-    const Choice choice = choice_.with_all_gateways(*master);
+    const InstanceChoice choice = choice_.with_all_gateways(*master);
     return give(call, *master, {choice.ids(*master), choice.gateways, wait_});
   }
 
@@ -240,7 +240,7 @@ class ForInstances : public Verb {
     add_wait(options, wait_);
   }
 
-  Choice choice_;
+  InstanceChoice choice_;
   WaitLimit wait_;
 };
 
@@ -380,7 +380,7 @@ class Update final : public ForInstances {
     std::vector<ListedOrder> all;
     try {
       all = master.orders();
-    } catch (const Failed&) {
+    } catch (const RequestFailed&) {
       // Whoever may not list orders may not update either. The answer to the update says which role that takes.
       if (!changes_.empty()) throw;
     }
@@ -458,7 +458,7 @@ int show_order(Call& call, const OrderResult& result, const std::string& text, b
                {{"ok", ok}, {"text", text}, {"outcomes", discovery::json_of<Json>(result.outcomes)}});
     return ok ? exit_ok : exit_failed;
   }
-  if (result.refusal != Refusal::none) {
+  if (result.refusal != OrderRefusal::none) {
     call.err << "iotcloud: " << printable(text) << '\n';
     return exit_failed;
   }

@@ -70,7 +70,7 @@ int run(Verb& verb, Call& call) {
   };
   try {
     return verb.run(call);
-  } catch (const Ambiguous& e) {
+  } catch (const AmbiguousId& e) {
     return complain(e, exit_usage);
   } catch (const config::ConfigError& e) {
     return complain(e, exit_usage);
@@ -80,7 +80,7 @@ int run(Verb& verb, Call& call) {
     return complain(e, exit_unreachable);
   } catch (const config::Error& e) {
     return complain(e, exit_failed);
-  } catch (const Failed& e) {
+  } catch (const RequestFailed& e) {
     return complain(e, exit_failed);
   }
 }

@@ -127,7 +127,7 @@ class Import final : public Verb {
       const std::string order =
           discovery::to_text(discovery::to_json<nlohmann::ordered_json>(ImportRequest{piece, replace_}));
       auto result = master->give("import", order, {});
-      if (result.refusal != Refusal::none) {
+      if (result.refusal != OrderRefusal::none) {
         if (!all.outcomes.empty())
           result.text +=
               fmt::format("; {} orders before that: {}. Import it once more", all.outcomes.size(), all.summary());

@@ -56,7 +56,7 @@ void with_each(std::vector<Receiver>& receivers, const std::function<void(Receiv
   }
 }
 
-UploadResult refused(Refusal refusal, std::string text) {
+UploadResult refused(OrderRefusal refusal, std::string text) {
   UploadResult result;
   result.refusal.refusal = refusal;
   result.refusal.text = std::move(text);
@@ -75,7 +75,7 @@ UploadResult answer(const std::string& id, const std::vector<Receiver>& receiver
 }  // namespace
 
 std::string UploadResult::summary() const {
-  if (refusal.refusal != Refusal::none) return refusal.summary();
+  if (refusal.refusal != OrderRefusal::none) return refusal.summary();
   std::vector<std::string> words;
   for (const auto& target : targets)
     words.push_back(fmt::format("{}{}", target.gateway,
@@ -120,7 +120,7 @@ std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<
   for (const auto& id : gateways.empty() ? names : gateways) {
     const auto at = std::find_if(known.begin(), known.end(), [&](const auto& g) { return g.record.id == id; });
     if (at == known.end())
-      return refused(Refusal::unknown_gateway,
+      return refused(OrderRefusal::unknown_gateway,
                      fmt::format("no gateway \"{}\"; known gateways: {}", id, fmt::join(names, ", ")));
     Receiver receiver;
     receiver.target.gateway = id;
@@ -132,7 +132,7 @@ std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<
     }
     receivers.push_back(std::move(receiver));
   }
-  if (receivers.empty()) return refused(Refusal::unknown_gateway, "no gateway is registered");
+  if (receivers.empty()) return refused(OrderRefusal::unknown_gateway, "no gateway is registered");
   return std::nullopt;
 }
 
@@ -145,7 +145,7 @@ UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<di
                   [&](const auto& one) { return self.clock.now() - one.second.last >= self.options.idle_limit; });
     if (static_cast<int>(self.uploads.size()) >= self.options.most)
       return refused(
-          Refusal::bad_request,
+          OrderRefusal::bad_request,
           fmt::format("this master passes {} plugins on at a time; try again in a moment", self.options.most));
   }
   std::vector<Receiver> receivers;
@@ -166,7 +166,7 @@ UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<di
   self.uploads[id] = {std::move(upload), self.clock.now()};
   return result;
 } catch (const config::Error& e) {
-  return refused(Refusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
+  return refused(OrderRefusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
 }
 
 std::shared_ptr<Upload> PluginUploads::Impl::find(const std::string& id) {
@@ -180,7 +180,7 @@ std::shared_ptr<Upload> PluginUploads::Impl::find(const std::string& id) {
 UploadResult PluginUploads::Impl::pass_on(const std::string& id, const std::function<void(Receiver&)>& action) {
   const auto upload = find(id);
   if (!upload)
-    return refused(Refusal::bad_request,
+    return refused(OrderRefusal::bad_request,
                    "there is no such upload (any more); one that nobody goes on with ends after a while, and every one "
                    "with its master: send the plugin again");
   UploadResult result;

@@ -130,15 +130,15 @@ SiteAnswer site_deploy(const SiteAddress& site, const DeployRequest& request, st
   });
 }
 
-SiteAnswer site_change(const SiteAddress& site, const discovery::InstanceId& instance, Change change,
+SiteAnswer site_change(const SiteAddress& site, const discovery::InstanceId& instance, InstanceAction action,
                        std::chrono::milliseconds limit) {
   return ask(site, limit, [&](auto& client, auto& response) {
-    switch (change) {
-      case Change::undeploy:
+    switch (action) {
+      case InstanceAction::undeploy:
         return client.unDeploySensor(response, instance);
-      case Change::start:
+      case InstanceAction::start:
         return client.startSensor(response, instance);
-      case Change::stop:
+      case InstanceAction::stop:
         return client.stopSensor(response, instance);
     }
   });

@@ -31,7 +31,7 @@ struct SiteAnswer {
 /// Call TSensorSiteService, each time on a new connection. Thread safe; they do not throw.
 SiteAnswer site_heartbeat(const SiteAddress& site, std::chrono::milliseconds limit);
 SiteAnswer site_deploy(const SiteAddress& site, const DeployRequest& request, std::chrono::milliseconds limit);
-SiteAnswer site_change(const SiteAddress& site, const discovery::InstanceId& instance, Change change,
+SiteAnswer site_change(const SiteAddress& site, const discovery::InstanceId& instance, InstanceAction action,
                        std::chrono::milliseconds limit);
 
 /// Ask a gateway of this system, not of the original; `limit` holds for each answer that a call needs. Thread safe.

@@ -71,14 +71,14 @@ OrderResult Adoptions::adopt_all(const GatewaySelection& selection) {
   for (const auto& id : chosen) {
     auto& outcome = result.outcomes.emplace_back(InstanceOutcome{id, {}, OrderOutcome::unknown, ""});
     const std::string mark = discovery::freeze_path(desk_.options.paths, id);
-    OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
+    OrderDesk::set_outcome(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
       desk_.book.forget_given(id);  // also where another master has thawed it: this one may have led before
       const auto node = desk_.registry.get(mark);
-      if (!node) return Verdict{OrderOutcome::done, "it was not frozen"};
+      if (!node) return ReasonedOutcome{OrderOutcome::done, "it was not frozen"};
       const discovery::Adoption adoption{discovery::decode_freeze(node->data, mark).token, lead.epoch};
       const auto orders = desk_.options.paths.orders(id);
       discovery::put(desk_.registry, orders, desk_.book.sealed(orders, encode(adoption)), lead.fence);
-      if (!find(known, id)->alive) return Verdict{OrderOutcome::pending, lost_text};
+      if (!find(known, id)->alive) return ReasonedOutcome{OrderOutcome::pending, lost_text};
       watch.expect(id, mark);
       return std::nullopt;
     }));

@@ -108,7 +108,7 @@ struct UploadTarget {
 
 /// The answer to a piece of an upload.
 struct UploadResult {
-  OrderResult refusal{};                ///< why the master passed nothing on; Refusal::none: it did
+  OrderResult refusal{};                ///< why the master passed nothing on; OrderRefusal::none: it did
   std::string upload{};                 ///< the upload's id; empty: no gateway needs (more) pieces
   std::vector<UploadTarget> targets{};  ///< one for each gateway to which the plugin was offered
   static constexpr const char* what = "an answer to an upload";

@@ -17,8 +17,8 @@ using discovery::TopologyOrder;
 
 namespace {
 
-const Verdict another{OrderOutcome::failed, "another order stands there; --replace puts this one in its place"};
-const Verdict unchanged{OrderOutcome::done, "it stood there already"};
+const ReasonedOutcome another{OrderOutcome::failed, "another order stands there; --replace puts this one in its place"};
+const ReasonedOutcome unchanged{OrderOutcome::done, "it stood there already"};
 
 }  // namespace
 
@@ -64,29 +64,30 @@ OrderResult Backups::import_all(const ImportRequest& request) {
   for (const auto& part : request.gateways) {
     if (part.draining) {
       const auto lead = desk_.leadership.lead();
-      if (!lead) return refuse(Refusal::not_leading, lost_lead_text);
+      if (!lead) return refuse(OrderRefusal::not_leading, lost_lead_text);
       mark_draining(part.gateway, *lead);
     }
     const auto* gateway = find(known, part.gateway);
-    const auto waits = gateway != nullptr ? waiting(*gateway)
-                                          : Verdict{OrderOutcome::pending,
-                                                    "gateway is not registered; it follows the order when it is"};
+    const auto waits =
+        gateway != nullptr
+            ? waiting(*gateway)
+            : ReasonedOutcome{OrderOutcome::pending, "gateway is not registered; it follows the order when it is"};
     for (const auto& order : part.orders) {
       auto& outcome =
           result.outcomes.emplace_back(InstanceOutcome{part.gateway, order.instance, OrderOutcome::unknown, ""});
-      OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
-        auto verdict = place(part.gateway, order, request.replace, lead);
-        if (verdict.outcome == OrderOutcome::done && waits) {
-          verdict.reason += (verdict.reason.empty() ? "" : "; ") + waits->reason;
+      OrderDesk::set_outcome(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
+        auto placed = place(part.gateway, order, request.replace, lead);
+        if (placed.outcome == OrderOutcome::done && waits) {
+          placed.reason += (placed.reason.empty() ? "" : "; ") + waits->reason;
         }
-        return verdict;
+        return placed;
       }));
     }
   }
   for (const auto& topology : request.topologies) {
     auto& outcome = result.outcomes.emplace_back(
         InstanceOutcome{{}, discovery::InstanceId("topologies/" + topology.topology.str()), OrderOutcome::unknown, ""});
-    OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
+    OrderDesk::set_outcome(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
       return place(topology, request.replace, lead);
     }));
   }
@@ -101,7 +102,7 @@ void Backups::mark_draining(const GatewayId& gateway, const discovery::Lead& lea
                         lead.fence);
 }
 
-Verdict Backups::place(const GatewayId& gateway, OrderRecord order, bool replace, const discovery::Lead& lead) {
+ReasonedOutcome Backups::place(const GatewayId& gateway, OrderRecord order, bool replace, const discovery::Lead& lead) {
   const auto there = desk_.book.get(gateway, order.instance);
   if (!there) {
     order.epoch = lead.epoch;
@@ -114,13 +115,13 @@ Verdict Backups::place(const GatewayId& gateway, OrderRecord order, bool replace
   // this fleet had keys.
   if (order == *there && !(replace && desk_.book.seals())) return unchanged;
   if (!replace) return another;
-  const Located where{order.instance, gateway, {}, std::nullopt};
-  const auto verdict = desk_.book.rewrite(
+  const LocatedInstance where{order.instance, gateway, {}, std::nullopt};
+  const auto outcome = desk_.book.rewrite(
       where, lead, [&](OrderRecord& present) { present = order; }, OrderBook::Standing::is_replaced);
-  return verdict.value_or(Verdict{OrderOutcome::done, "it took another order's place"});
+  return outcome.value_or(ReasonedOutcome{OrderOutcome::done, "it took another order's place"});
 }
 
-Verdict Backups::place(const TopologyBackup& topology, bool replace, const discovery::Lead& lead) {
+ReasonedOutcome Backups::place(const TopologyBackup& topology, bool replace, const discovery::Lead& lead) {
   const auto path = desk_.options.paths.topology_order(topology.topology);
   TopologyOrder order = topology.order;
   const auto node = desk_.registry.get(path);

@@ -19,9 +19,9 @@ class Backups {
  private:
   OrderResult import_all(const ImportRequest& request);
   void mark_draining(const discovery::GatewayId& gateway, const discovery::Lead& lead);
-  Verdict place(const discovery::GatewayId& gateway, discovery::OrderRecord order, bool replace,
-                const discovery::Lead& lead);
-  Verdict place(const TopologyBackup& topology, bool replace, const discovery::Lead& lead);
+  ReasonedOutcome place(const discovery::GatewayId& gateway, discovery::OrderRecord order, bool replace,
+                        const discovery::Lead& lead);
+  ReasonedOutcome place(const TopologyBackup& topology, bool replace, const discovery::Lead& lead);
 
   OrderDesk& desk_;
 };

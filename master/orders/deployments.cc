@@ -35,22 +35,22 @@ OrderRecord order_for(const DeployRequest& request) {
 std::optional<OrderResult> refuse_deployment(const DeployRequest& request) {
   if (auto refusal = refuse_plugin(request.plugin, request.sha256)) return refusal;
   if (!request.driver.empty() && !is_node_name(request.driver))
-    return refuse(Refusal::bad_request,
+    return refuse(OrderRefusal::bad_request,
                   fmt::format("\"{}\" cannot be a driver's name: no '/' and no control characters", request.driver));
   if (request.count < 1 || request.count > DeployRequest::max_count)
-    return refuse(Refusal::bad_request,
+    return refuse(OrderRefusal::bad_request,
                   fmt::format("count is {}, must be from 1 to {}", request.count, DeployRequest::max_count));
   if (request.name.empty() && (!request.indexes.empty() || !request.manager.empty()))
-    return refuse(Refusal::bad_request, "numbers of instances, and a manifest that they belong to, need a name");
+    return refuse(OrderRefusal::bad_request, "numbers of instances, and a manifest that they belong to, need a name");
   for (const auto& [what, text] :
        {std::pair("a deployment", &request.name), std::pair("a manifest", &request.manager)}) {
     if (!text->empty() && !is_node_name(*text))
-      return refuse(Refusal::bad_request,
+      return refuse(OrderRefusal::bad_request,
                     fmt::format("\"{}\" cannot be the name of {}: no '/' and no control characters", *text, what));
   }
   for (const int index : request.indexes) {
     if (index < 1 || index > DeployRequest::max_count)
-      return refuse(Refusal::bad_request,
+      return refuse(OrderRefusal::bad_request,
                     fmt::format("an instance's number is {}, must be from 1 to {}", index, DeployRequest::max_count));
   }
   auto largest = order_for(request);
@@ -63,9 +63,10 @@ std::optional<OrderResult> refuse_deployment(const DeployRequest& request) {
   }
   const auto size = encode(largest).size();
   if (size > largest_order)
-    return refuse(Refusal::bad_request, fmt::format("properties and metadata take {} bytes, more than {}: pass large "
-                                                    "things by the name of a file on the gateway",
-                                                    size, largest_order));
+    return refuse(OrderRefusal::bad_request,
+                  fmt::format("properties and metadata take {} bytes, more than {}: pass large "
+                              "things by the name of a file on the gateway",
+                              size, largest_order));
   return std::nullopt;
 }
 
@@ -77,7 +78,7 @@ std::optional<OrderResult> find_targets(const DeployRequest& request, const std:
     const auto* gateway = find(known, id);
     if (!gateway) return refuse_gateway(id, known);
     if (gateway->draining)
-      return refuse(Refusal::bad_request,
+      return refuse(OrderRefusal::bad_request,
                     fmt::format("gateway {0} is draining, so nothing is deployed on it; `iotcloud undrain {0}` ends "
                                 "that",
                                 id));
@@ -89,12 +90,12 @@ std::optional<OrderResult> find_targets(const DeployRequest& request, const std:
   }
   if (known.empty()) return refuse_gateway({}, known);
   if (targets.empty())
-    return refuse(Refusal::bad_request, "all gateways are draining; `iotcloud undrain GATEWAY` ends that");
+    return refuse(OrderRefusal::bad_request, "all gateways are draining; `iotcloud undrain GATEWAY` ends that");
   return std::nullopt;
 }
 
 /// Whether an instance runs as an order wants it that was given before, in all but its epoch.
-bool is_as_wanted(const Located& where, const OrderRecord& before, const OrderRecord& wanted) {
+bool is_as_wanted(const LocatedInstance& where, const OrderRecord& before, const OrderRecord& wanted) {
   const discovery::Deployment &now = before, &then = wanted;
   if (!(now == then) || !where.record) return false;
   const auto record = discovery::driver_of(where.record, where.instance.str());
@@ -157,7 +158,7 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
       order.instance = discovery::new_instance_id();
       order.properties = properties_of(request, i);
       InstanceOutcome outcome{id, order.instance, OrderOutcome::unknown, ""};
-      OrderDesk::set_verdict(outcome, this->order(gateway, order, watch));
+      OrderDesk::set_outcome(outcome, this->order(gateway, order, watch));
       result.outcomes.push_back(std::move(outcome));
     }
     return;
@@ -179,12 +180,12 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
     // adopted.
     if (!runs || (!ordered && !gateway.frozen.empty())) {
       outcome.outcome = OrderOutcome::unknown;
-      OrderDesk::set_verdict(outcome, this->order(gateway, order, watch));
+      OrderDesk::set_outcome(outcome, this->order(gateway, order, watch));
     } else if (ordered && is_as_wanted(there.at(order.instance), *before, order)) {
       outcome.outcome = OrderOutcome::done;
       outcome.reason = "unchanged: it is deployed so already";
       // If the gateway is lost, the instance's record is out of date, so the outcome is another one.
-      OrderDesk::set_verdict(outcome, waiting(gateway));
+      OrderDesk::set_outcome(outcome, waiting(gateway));
     } else if (ordered) {
       outcome.reason = fmt::format(
           "{} {} is deployed there already, and differs or is not in its state; `iotcloud apply` changes it, `iotcloud "
@@ -198,10 +199,10 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
   }
 }
 
-MaybeVerdict Deployments::order(const GatewayStatus& gateway, OrderRecord order, OutcomeWatch& watch) {
+EarlyOutcome Deployments::order(const GatewayStatus& gateway, OrderRecord order, OutcomeWatch& watch) {
   if (!gateway.alive && (!desk_.options.record_for_lost_gateways || desk_.is_direct(gateway.record.id)))
-    return Verdict{OrderOutcome::failed, lost_and_not_recorded_text};
-  return desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
+    return ReasonedOutcome{OrderOutcome::failed, lost_and_not_recorded_text};
+  return desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
     order.epoch = lead.epoch;
     desk_.book.create(gateway.record.id, order, lead);
     if (auto postponed = waiting(gateway)) return postponed;

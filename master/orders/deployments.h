@@ -19,7 +19,7 @@ class Deployments {
   /// Orders all instances of a request on one gateway.
   void order_on(const discovery::GatewayStatus& gateway, const DeployRequest& request, OrderResult& result,
                 OutcomeWatch& watch);
-  MaybeVerdict order(const discovery::GatewayStatus& gateway, discovery::OrderRecord order, OutcomeWatch& watch);
+  EarlyOutcome order(const discovery::GatewayStatus& gateway, discovery::OrderRecord order, OutcomeWatch& watch);
 
   OrderDesk& desk_;
 };

@@ -18,7 +18,7 @@ class DirectGateways {
   virtual InstanceOutcome deploy(const discovery::GatewayId& gateway, const DeployRequest& request,
                                  std::chrono::milliseconds limit) = 0;
   virtual InstanceOutcome change(const discovery::GatewayId& gateway, const discovery::InstanceId& instance,
-                                 Change change, std::chrono::milliseconds limit) = 0;
+                                 InstanceAction action, std::chrono::milliseconds limit) = 0;
 };
 
 }  // namespace iotcloud::master

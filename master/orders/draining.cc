@@ -18,14 +18,14 @@ OrderResult Draining::drain(const GatewaySelection& selection, bool undo) {
 }
 
 OrderResult Draining::drain_all(const GatewaySelection& selection, bool undo) {
-  if (selection.gateways.empty()) return refuse(Refusal::bad_request, "no gateway is named: give at least one id");
+  if (selection.gateways.empty()) return refuse(OrderRefusal::bad_request, "no gateway is named: give at least one id");
   const auto lead = desk_.leadership.lead();
-  if (!lead) return refuse(Refusal::not_leading, lost_lead_text);
+  if (!lead) return refuse(OrderRefusal::not_leading, lost_lead_text);
   const auto known = desk_.gateways();
   for (const auto& id : selection.gateways) {
     if (!find(known, id)) return refuse_gateway(id, known);
     if (desk_.is_direct(id))
-      return refuse(Refusal::bad_request,
+      return refuse(OrderRefusal::bad_request,
                     fmt::format("gateway {0} is of the original system, which cannot drain; `iotcloud stop --all "
                                 "--gateway {0}` stops what it has",
                                 id));
@@ -49,13 +49,15 @@ OrderResult Draining::drain_all(const GatewaySelection& selection, bool undo) {
   OrderResult result;
   OutcomeWatch watch(desk_.registry, desk_.options.paths,
                      undo ? OutcomeWatch::Wanted::active : OutcomeWatch::Wanted::inactive);
-  std::vector<Located> drained;
+  std::vector<LocatedInstance> drained;
   for (const auto& [gateway, order] : orders) {
     const auto found = located.find(order.instance);
-    drained.push_back(found == located.end() ? Located{order.instance, gateway, {}, std::nullopt} : found->second);
+    drained.push_back(found == located.end() ? LocatedInstance{order.instance, gateway, {}, std::nullopt}
+                                             : found->second);
   }
-  desk_.order_each(drained, result,
-                   [&](const Located& where) { return this->order(where, *find(known, where.gateway), undo, watch); });
+  desk_.order_each(drained, result, [&](const LocatedInstance& where) {
+    return this->order(where, *find(known, where.gateway), undo, watch);
+  });
   desk_.settle(result, watch, selection.wait, undo ? "undrain" : "drain");
   return result;
 }
@@ -75,18 +77,19 @@ void Draining::mark(const discovery::GatewayId& gateway, bool undo, const discov
   }
 }
 
-MaybeVerdict Draining::order(const Located& where, const GatewayStatus& gateway, bool undo, OutcomeWatch& watch) {
-  return desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
-    auto verdict = desk_.book.rewrite(where, lead, [&](OrderRecord& order) {
+EarlyOutcome Draining::order(const LocatedInstance& where, const GatewayStatus& gateway, bool undo,
+                             OutcomeWatch& watch) {
+  return desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
+    auto early = desk_.book.rewrite(where, lead, [&](OrderRecord& order) {
       const bool concerned = undo ? order.drained : order.active;
       order.active = undo ? order.active || concerned : false;
       order.drained = !undo && (order.drained || concerned);
     });
-    if (verdict) return verdict;
+    if (early) return early;
     if (auto postponed = waiting(gateway)) return postponed;
     const bool had_failed =
         where.record && discovery::decode_driver(where.record->data, where.instance).state == DriverState::failed;
-    if (had_failed && !undo) return Verdict{OrderOutcome::done, "it had failed before"};
+    if (had_failed && !undo) return ReasonedOutcome{OrderOutcome::done, "it had failed before"};
     watch.expect(where.instance, where.driver, where.record);
     return std::nullopt;
   });

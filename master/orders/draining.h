@@ -16,7 +16,8 @@ class Draining {
  private:
   OrderResult drain_all(const GatewaySelection& selection, bool undo);
   void mark(const discovery::GatewayId& gateway, bool undo, const discovery::Lead& lead);
-  MaybeVerdict order(const Located& where, const discovery::GatewayStatus& gateway, bool undo, OutcomeWatch& watch);
+  EarlyOutcome order(const LocatedInstance& where, const discovery::GatewayStatus& gateway, bool undo,
+                     OutcomeWatch& watch);
 
   OrderDesk& desk_;
 };

@@ -12,8 +12,8 @@ namespace {
 
 /// Removes all that the registry has of a gateway. Its own node goes last: until then the gateway can be named again
 /// when this fails half-way.
-Verdict remove_gateway(discovery::Registry& registry, const discovery::Paths& paths, const GatewayId& id,
-                       const discovery::Lead& lead) {
+ReasonedOutcome remove_gateway(discovery::Registry& registry, const discovery::Paths& paths, const GatewayId& id,
+                               const discovery::Lead& lead) {
   std::size_t instances = 0;
   for (const auto& driver : discovery::list_drivers(registry, paths)) {
     if (driver.gateway != id) continue;
@@ -33,7 +33,8 @@ OrderResult Forgetting::forget(const GatewaySelection& selection) {
 }
 
 OrderResult Forgetting::forget_all(const GatewaySelection& selection) {
-  if (selection.gateways.empty()) return refuse(Refusal::bad_request, "name the gateways that are to be forgotten");
+  if (selection.gateways.empty())
+    return refuse(OrderRefusal::bad_request, "name the gateways that are to be forgotten");
   const auto known = desk_.gateways();
   for (const auto& id : selection.gateways) {
     if (!find(known, id)) return refuse_gateway(id, known);
@@ -41,10 +42,10 @@ OrderResult Forgetting::forget_all(const GatewaySelection& selection) {
   OrderResult result;
   for (const auto& id : selection.gateways) {
     auto& outcome = result.outcomes.emplace_back(InstanceOutcome{id, {}, OrderOutcome::unknown, ""});
-    OrderDesk::set_verdict(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
+    OrderDesk::set_outcome(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
       if (desk_.registry.get(desk_.options.paths.gateway_alive(id)))
-        return Verdict{OrderOutcome::failed,
-                       "it is alive; undeploy what it runs, stop its process, and forget it then"};
+        return ReasonedOutcome{OrderOutcome::failed,
+                               "it is alive; undeploy what it runs, stop its process, and forget it then"};
       return remove_gateway(desk_.registry, desk_.options.paths, id, lead);
     }));
   }

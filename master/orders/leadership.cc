@@ -6,7 +6,7 @@ namespace iotcloud::master {
 using discovery::RegistryError;
 using discovery::RegistryErrorCode;
 
-OrderResult refuse(Refusal refusal, std::string text) {
+OrderResult refuse(OrderRefusal refusal, std::string text) {
   return {refusal, std::move(text), "", {}};
 }
 
@@ -27,9 +27,9 @@ void Leadership::finish() {
 std::optional<OrderResult> Leadership::refusal() const {
   if (election_.leading()) return std::nullopt;
   if (registry_.session() != discovery::SessionState::connected)
-    return refuse(Refusal::registry_away,
+    return refuse(OrderRefusal::registry_away,
                   "the registry is away, so no order can be given; this master keeps trying to reach it");
-  auto result = refuse(Refusal::not_leading, "");
+  auto result = refuse(OrderRefusal::not_leading, "");
   result.leader = leader();
   result.text = result.leader.empty()
                     ? fmt::format("master {} does not lead and none does yet; try again in a moment", id_)
@@ -39,13 +39,13 @@ std::optional<OrderResult> Leadership::refusal() const {
 
 OrderResult Leadership::refusal_for(const RegistryError& error) const {
   if (error.code() != RegistryErrorCode::fenced)
-    return refuse(Refusal::registry_away, fmt::format("the registry did not answer: {}", error.what()));
-  auto result = refuse(Refusal::not_leading, lost_lead_text);
+    return refuse(OrderRefusal::registry_away, fmt::format("the registry did not answer: {}", error.what()));
+  auto result = refuse(OrderRefusal::not_leading, lost_lead_text);
   result.leader = election_.leader_data();  // not leader(): this master may not know yet that it lost the election
   return result;
 }
 
-Verdict Leadership::verdict_on(const RegistryError& error) {
+ReasonedOutcome Leadership::outcome_of(const RegistryError& error) {
   switch (error.code()) {
     case RegistryErrorCode::fenced:
       return {OrderOutcome::failed, lost_lead_text};

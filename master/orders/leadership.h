@@ -10,13 +10,13 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/orders/verdict.h>
+#include <iotcloud/master/orders/reasoned_outcome.h>
 
 namespace iotcloud::master {
 
 inline constexpr const char* lost_lead_text = "this master has just lost its lead; the order was not recorded";
 
-OrderResult refuse(Refusal refusal, std::string text);
+OrderResult refuse(OrderRefusal refusal, std::string text);
 
 /// This master's part in the election of a leader. Only the leader takes orders, and it writes them with the fence of
 /// its lead. Thread safe.
@@ -53,20 +53,20 @@ class Leadership {
     } catch (const discovery::RegistryError& e) {
       return refusal_for(e);
     } catch (const config::Error& e) {
-      return refuse(Refusal::bad_request, e.what());
+      return refuse(OrderRefusal::bad_request, e.what());
     }
   }
 
   /// Calls `write` with this master's lead. \return what `write` returns, or the outcome of an order that could not be
   /// written.
   template <typename Write>
-  MaybeVerdict written(Write&& write) {
+  EarlyOutcome written(Write&& write) {
     const auto own = lead();
-    if (!own) return Verdict{OrderOutcome::failed, lost_lead_text};
+    if (!own) return ReasonedOutcome{OrderOutcome::failed, lost_lead_text};
     try {
       return write(*own);
     } catch (const discovery::RegistryError& e) {
-      return verdict_on(e);
+      return outcome_of(e);
     }
   }
 
@@ -88,7 +88,7 @@ class Leadership {
    private:
     Leadership& of_;
   };
-  static Verdict verdict_on(const discovery::RegistryError& error);
+  static ReasonedOutcome outcome_of(const discovery::RegistryError& error);
 
   discovery::Registry& registry_;
   const std::string id_;

@@ -19,13 +19,13 @@ using discovery::RegistryErrorCode;
 
 namespace {
 
-Verdict of_later_master() {
+ReasonedOutcome of_later_master() {
   return {OrderOutcome::failed, "a later master has given orders for it; this one's lead is over"};
 }
 
 /// Somebody put it there once more, and would have this master sign it. \param remembered this master has given a later
 /// one, which an adoption makes it forget
-Verdict of_earlier_time(const GatewayId& gateway, bool remembered) {
+ReasonedOutcome of_earlier_time(const GatewayId& gateway, bool remembered) {
   return {OrderOutcome::failed,
           "a master has signed the order that stands there, but it is out of date: somebody wrote an old one once "
           "more, or copied the registry (or its clock is minutes ahead), so it is not changed: undeploy the instance "
@@ -37,7 +37,7 @@ Verdict of_earlier_time(const GatewayId& gateway, bool remembered) {
 }
 
 /// Whoever wrote it would have this master sign it.
-Verdict of_nobody_trusted() {
+ReasonedOutcome of_nobody_trusted() {
   return {OrderOutcome::failed,
           "no trusted master has signed the order that stands there, so it is not changed: undeploy the instance and "
           "deploy it again, or `iotcloud registry import --replace` a backup"};
@@ -76,23 +76,23 @@ const GatewayStatus* find(const std::vector<GatewayStatus>& gateways, const Gate
 
 OrderResult refuse_gateway(const GatewayId& id, const std::vector<GatewayStatus>& known) {
   if (known.empty())
-    return refuse(Refusal::unknown_gateway,
+    return refuse(OrderRefusal::unknown_gateway,
                   "no gateway is registered: start iotcloud-gateway with the same registry and zk.root");
   std::vector<GatewayId> ids;
   for (const auto& gateway : known) ids.push_back(gateway.record.id);
-  return refuse(Refusal::unknown_gateway,
+  return refuse(OrderRefusal::unknown_gateway,
                 fmt::format("no gateway \"{}\"; known gateways: {}", id, fmt::join(ids, ", ")));
 }
 
-std::map<InstanceId, Located> OrderBook::locate(const std::set<InstanceId>& instances,
-                                                const std::vector<GatewayStatus>& known) {
+std::map<InstanceId, LocatedInstance> OrderBook::locate(const std::set<InstanceId>& instances,
+                                                        const std::vector<GatewayStatus>& known) {
   using Names = std::vector<std::string>;
   const auto names = registry_.children(paths_.sensors).value_or(Names{});
   const std::vector<DriverName> drivers(names.begin(), names.end());
   Names parents;
   for (const auto& driver : drivers) parents.push_back(paths_.driver(driver));
   const auto records = registry_.children_of_all(parents);
-  std::vector<Located> found;
+  std::vector<LocatedInstance> found;
   Names paths;
   for (std::size_t i = 0; i < drivers.size(); ++i) {
     for (const auto& name : records[i].value_or(Names{})) {
@@ -103,7 +103,7 @@ std::map<InstanceId, Located> OrderBook::locate(const std::set<InstanceId>& inst
     }
   }
   auto nodes = registry_.get_all(paths);
-  std::map<InstanceId, Located> located;
+  std::map<InstanceId, LocatedInstance> located;
   for (std::size_t i = 0; i < found.size(); ++i) {
     if (!nodes[i] || nodes[i]->data.empty()) continue;
     found[i].gateway = discovery::decode_driver(nodes[i]->data, paths[i]).gateway;
@@ -117,7 +117,8 @@ std::map<InstanceId, Located> OrderBook::locate(const std::set<InstanceId>& inst
   for (std::size_t i = 0; i < known.size(); ++i) {
     for (const auto& name : ordered[i].value_or(Names{})) {
       const InstanceId instance(name);
-      if (instances.contains(instance)) located.emplace(instance, Located{instance, known[i].record.id, {}, {}});
+      if (instances.contains(instance))
+        located.emplace(instance, LocatedInstance{instance, known[i].record.id, {}, {}});
     }
   }
   return located;
@@ -125,8 +126,9 @@ std::map<InstanceId, Located> OrderBook::locate(const std::set<InstanceId>& inst
 
 std::optional<OrderResult> OrderBook::find_selected(const InstanceSelection& selection,
                                                     const std::vector<GatewayStatus>& known,
-                                                    std::vector<Located>& instances) {
-  if (selection.instances.empty()) return refuse(Refusal::bad_request, "no instance is named: give at least one id");
+                                                    std::vector<LocatedInstance>& instances) {
+  if (selection.instances.empty())
+    return refuse(OrderRefusal::bad_request, "no instance is named: give at least one id");
   for (const auto& id : selection.gateways) {
     if (!find(known, id)) return refuse_gateway(id, known);
   }
@@ -136,12 +138,13 @@ std::optional<OrderResult> OrderBook::find_selected(const InstanceSelection& sel
     if (!seen.insert(id).second) continue;
     const auto where = located.find(id);
     if (where == located.end())
-      return refuse(Refusal::unknown_instance,
+      return refuse(OrderRefusal::unknown_instance,
                     fmt::format("no driver instance \"{}\"; `iotcloud drivers` lists them", id));
     if (!selection.gateways.empty() && std::find(selection.gateways.begin(), selection.gateways.end(),
                                                  where->second.gateway) == selection.gateways.end())
-      return refuse(Refusal::unknown_instance, fmt::format("instance {} is on gateway {}, not on {}", id,
-                                                           where->second.gateway, fmt::join(selection.gateways, ", ")));
+      return refuse(OrderRefusal::unknown_instance,
+                    fmt::format("instance {} is on gateway {}, not on {}", id, where->second.gateway,
+                                fmt::join(selection.gateways, ", ")));
     instances.push_back(std::move(where->second));
   }
   return std::nullopt;
@@ -178,7 +181,7 @@ void OrderBook::put_topology(const std::string& path, const std::optional<discov
 }
 
 /// Says with this master's signature that the order is removed, for gateways that follow signed orders only.
-void OrderBook::announce_removal(const Located& where, const OrderRecord* order, const Lead& lead) {
+void OrderBook::announce_removal(const LocatedInstance& where, const OrderRecord* order, const Lead& lead) {
   if (!seal_) return;
   const auto order_path = paths_.order(where.gateway, where.instance);
   const auto given_before = std::max(order != nullptr ? order->given_ms : 0, given_.at(order_path));
@@ -189,7 +192,7 @@ void OrderBook::announce_removal(const Located& where, const OrderRecord* order,
   note_given(order_path, removal.given_ms);
 }
 
-MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
+EarlyOutcome OrderBook::remove(const LocatedInstance& where, const Lead& lead) {
   const auto path = paths_.order(where.gateway, where.instance);
   while (!leadership_.closing().stop_requested()) {
     const auto node = registry_.get(path);
@@ -212,16 +215,16 @@ MaybeVerdict OrderBook::remove(const Located& where, const Lead& lead) {
     }
   }
   if (where.record) return std::nullopt;
-  return Verdict{OrderOutcome::done, "its gateway had not taken it up yet"};
+  return ReasonedOutcome{OrderOutcome::done, "its gateway had not taken it up yet"};
 }
 
-MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead, const std::function<void(OrderRecord&)>& alter,
-                                Standing standing) {
+EarlyOutcome OrderBook::rewrite(const LocatedInstance& where, const Lead& lead,
+                                const std::function<void(OrderRecord&)>& alter, Standing standing) {
   const auto path = paths_.order(where.gateway, where.instance);
   while (!leadership_.closing().stop_requested()) {
     const auto known = given_.at(path);  // before the node is read: another order may be given meanwhile
     const auto node = registry_.get(path);
-    if (!node) return Verdict{OrderOutcome::failed, "it is being undeployed"};
+    if (!node) return ReasonedOutcome{OrderOutcome::failed, "it is being undeployed"};
     const bool ours = is_ours(path, node->data);
     if (!ours && standing == Standing::is_kept) return of_nobody_trusted();
     auto order = discovery::decode_order(node->data, path);
@@ -234,8 +237,8 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead, const st
     if (seal_) order.given_ms = std::max(config::system_clock().wall_ms(), given_before + 1);
     const std::string bytes = encode(order);
     if (bytes.size() > largest_order)
-      return Verdict{OrderOutcome::failed,
-                     fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
+      return ReasonedOutcome{OrderOutcome::failed,
+                             fmt::format("its order would take {} bytes, more than {}", bytes.size(), largest_order)};
     try {
       registry_.set(path, sealed(path, bytes), node->version, lead.fence);
       note_given(path, order.given_ms);
@@ -244,7 +247,7 @@ MaybeVerdict OrderBook::rewrite(const Located& where, const Lead& lead, const st
       if (e.code() != RegistryErrorCode::bad_version) throw;  // changed meanwhile: look again
     }
   }
-  return Verdict{OrderOutcome::failed, "this master is stopping"};
+  return ReasonedOutcome{OrderOutcome::failed, "this master is stopping"};
 }
 
 }  // namespace iotcloud::master

@@ -14,7 +14,7 @@
 namespace iotcloud::master {
 
 /// An instance's gateway, driver and record, as the registry has them.
-struct Located {
+struct LocatedInstance {
   discovery::InstanceId instance;
   discovery::GatewayId gateway;
   discovery::DriverName driver;           ///< empty: no record yet
@@ -30,16 +30,16 @@ OrderResult refuse_gateway(const discovery::GatewayId& id, const std::vector<dis
 /// A worker that says it has followed a later order to its topology is not believed: there must be room for the next.
 inline constexpr std::int64_t most_revision = std::int64_t{1} << 62;
 
-/// What this master knows of when orders were given last, without a memory that survives it. Whoever may write in the
-/// registry can put an order there once more that a master signed long ago: this master must not sign what it makes of
-/// it. Thread safe.
+/// Remembers when this master gave its last order for each node, as long as the process lives. Whoever may write in the
+/// registry can write an order there again that a master signed long ago; before a master changes an order and signs
+/// the result, it compares the order's time with the time remembered here. Thread safe.
 class LastGiven {
  public:
-  /// That this master has written an order for the node, or its removal.
+  /// To be called when this master has written an order for the node, or its removal.
   void note(const std::string& path, std::int64_t given_ms) IOTCLOUD_EXCLUDES(mutex_);
-  /// 0: it has written none for the node, or that was many orders ago.
+  /// When this master wrote its last order for the node. 0: it wrote none, or that was many orders ago.
   std::int64_t at(const std::string& path) const IOTCLOUD_EXCLUDES(mutex_);
-  /// A person has said that the nodes below this one are meant as they stand.
+  /// Forgets the nodes below this one, because a person has said that they are meant as they stand.
   void forget(const std::string& above) IOTCLOUD_EXCLUDES(mutex_);
 
  private:
@@ -61,24 +61,24 @@ class OrderBook {
 
   /// Finds the instances that have a record, or an order on a gateway in `known`. Takes the same few rounds of reads
   /// however many instances there are.
-  std::map<discovery::InstanceId, Located> locate(const std::set<discovery::InstanceId>& instances,
-                                                  const std::vector<discovery::GatewayStatus>& known);
+  std::map<discovery::InstanceId, LocatedInstance> locate(const std::set<discovery::InstanceId>& instances,
+                                                          const std::vector<discovery::GatewayStatus>& known);
 
   /// Finds all selected instances. Called before the first order is written, so that a mistyped id changes nothing.
   /// \return a refusal; nullopt: all were found and are in `instances`.
   std::optional<OrderResult> find_selected(const InstanceSelection& selection,
                                            const std::vector<discovery::GatewayStatus>& known,
-                                           std::vector<Located>& instances);
+                                           std::vector<LocatedInstance>& instances);
 
   /// The instance's present order; nullopt: there is none.
   std::optional<discovery::OrderRecord> get(const discovery::GatewayId& gateway, const discovery::InstanceId& instance);
   void create(const discovery::GatewayId& gateway, discovery::OrderRecord order, const discovery::Lead& lead);
-  MaybeVerdict remove(const Located& where, const discovery::Lead& lead);
+  EarlyOutcome remove(const LocatedInstance& where, const discovery::Lead& lead);
   /// Whether to sign what is left of an order after a change, if no trusted master signed the order: only when nothing
   /// of it is left.
   enum class Standing { is_kept, is_replaced };
   /// Changes an existing order. Reads it and changes it again when another write came in between.
-  MaybeVerdict rewrite(const Located& where, const discovery::Lead& lead,
+  EarlyOutcome rewrite(const LocatedInstance& where, const discovery::Lead& lead,
                        const std::function<void(discovery::OrderRecord&)>& alter,
                        Standing standing = Standing::is_kept);
   /// The bytes for the node at that path, signed if this master signs.
@@ -104,7 +104,7 @@ class OrderBook {
   void note_given(const std::string& path, std::int64_t given_ms) {
     if (seals()) given_.note(path, given_ms);
   }
-  void announce_removal(const Located& where, const discovery::OrderRecord* order, const discovery::Lead& lead);
+  void announce_removal(const LocatedInstance& where, const discovery::OrderRecord* order, const discovery::Lead& lead);
   discovery::Registry& registry_;
   const discovery::Paths& paths_;
   const Leadership& leadership_;

@@ -26,15 +26,15 @@ bool OrderDesk::is_direct(const discovery::GatewayId& gateway) const {
   return options.direct != nullptr && options.direct->has(gateway);
 }
 
-void OrderDesk::set_verdict(InstanceOutcome& outcome, const MaybeVerdict& verdict) {
-  if (!verdict) return;
-  outcome.outcome = verdict->outcome;
-  outcome.reason = verdict->reason;
+void OrderDesk::set_outcome(InstanceOutcome& outcome, const EarlyOutcome& early) {
+  if (!early) return;
+  outcome.outcome = early->outcome;
+  outcome.reason = early->reason;
 }
 
-MaybeVerdict OrderDesk::obstacle(const Located& where, const discovery::GatewayStatus* gateway,
+EarlyOutcome OrderDesk::obstacle(const LocatedInstance& where, const discovery::GatewayStatus* gateway,
                                  const char* direct_text) const {
-  const auto failed = [](const char* why) { return Verdict{OrderOutcome::failed, why}; };
+  const auto failed = [](const char* why) { return ReasonedOutcome{OrderOutcome::failed, why}; };
   if (gateway == nullptr) return failed("its gateway is not registered any more");
   if (is_direct(where.gateway)) return failed(direct_text);
   if (!gateway->alive && !options.record_for_lost_gateways) return failed(lost_and_not_recorded_text);
@@ -47,11 +47,11 @@ milliseconds OrderDesk::limit(const WaitLimit& wait) const {
 
 void OrderDesk::settle(OrderResult& result, OutcomeWatch& watch, const WaitLimit& wait, const std::string& order,
                        DirectCalls calls) {
-  const auto verdicts = watch.wait(limit(wait), leadership.closing());
+  const auto outcomes = watch.wait(limit(wait), leadership.closing());
   for (auto& outcome : result.outcomes) {
-    const auto verdict = verdicts.find(outcome.instance);
-    if (verdict != verdicts.end())
-      set_verdict(outcome, verdict->second);  // instances without a verdict here had an outcome before
+    const auto found = outcomes.find(outcome.instance);
+    if (found != outcomes.end())
+      set_outcome(outcome, found->second);  // instances of which nothing was found here had one before
   }
   for (auto& call : calls) result.outcomes.push_back(call.get());
   tell(result, order);
@@ -70,12 +70,13 @@ void OrderDesk::tell(const OrderResult& result, const std::string& order) {
 
 std::optional<OrderResult> refuse_plugin(const std::string& plugin, const std::string& sha256) {
   if (!is_node_name(plugin))
-    return refuse(Refusal::bad_request,
+    return refuse(OrderRefusal::bad_request,
                   fmt::format("\"{}\" is no plugin: give the name of a file in the gateway's plugin folder, "
                               "such as turtle.so, without its path",
                               plugin));
   if (!sha256.empty() && !security::is_sha256(sha256))
-    return refuse(Refusal::bad_request, fmt::format("{}: a SHA-256 has 64 hexadecimal digits in lower case", plugin));
+    return refuse(OrderRefusal::bad_request,
+                  fmt::format("{}: a SHA-256 has 64 hexadecimal digits in lower case", plugin));
   return std::nullopt;
 }
 

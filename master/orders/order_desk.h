@@ -18,8 +18,8 @@ inline constexpr const char* lost_text = "gateway is lost; it will follow the or
 inline constexpr const char* frozen_text = "gateway is frozen; it follows the order after `iotcloud registry adopt`";
 inline constexpr const char* lost_and_not_recorded_text = "gateway is lost; the order was not recorded";
 
-/// What the services that take orders (deployments.h, changes.h, draining.h, updates.h, topology_service.h) share. The
-/// desk outlives the services. Thread safe.
+/// What the services that take orders (deployments.h, instance_changes.h, draining.h, updates.h, topology_service.h)
+/// share. The desk outlives the services. Thread safe.
 struct OrderDesk {
   OrderDesk(discovery::Registry& registry_of_all, MasterOptions given);
 
@@ -30,7 +30,8 @@ struct OrderDesk {
   bool is_direct(const discovery::GatewayId& gateway) const;
   /// Why the order of an instance on that gateway cannot be rewritten; nullopt: it can. \param direct_text the reason
   /// for a gateway of the original system.
-  MaybeVerdict obstacle(const Located& where, const discovery::GatewayStatus* gateway, const char* direct_text) const;
+  EarlyOutcome obstacle(const LocatedInstance& where, const discovery::GatewayStatus* gateway,
+                        const char* direct_text) const;
   /// How long to wait for outcomes when the request says `wait`.
   std::chrono::milliseconds limit(const WaitLimit& wait) const;
   /// Waits for all outcomes, then logs and counts them.
@@ -38,17 +39,17 @@ struct OrderDesk {
               DirectCalls calls = {});
   /// Logs and counts what became of an order.
   void tell(const OrderResult& result, const std::string& order);
-  /// Gives an order to each instance. \param give takes a Located, gives the order, and returns its outcome if that is
-  /// known already.
+  /// Gives an order to each instance. \param give takes a LocatedInstance, gives the order, and returns its outcome if
+  /// that is known already.
   template <typename Give>
-  static void order_each(const std::vector<Located>& instances, OrderResult& result, Give&& give) {
+  static void order_each(const std::vector<LocatedInstance>& instances, OrderResult& result, Give&& give) {
     for (const auto& where : instances) {
       auto& outcome =
           result.outcomes.emplace_back(InstanceOutcome{where.gateway, where.instance, OrderOutcome::unknown, ""});
-      set_verdict(outcome, give(where));
+      set_outcome(outcome, give(where));
     }
   }
-  static void set_verdict(InstanceOutcome& outcome, const MaybeVerdict& verdict);
+  static void set_outcome(InstanceOutcome& outcome, const EarlyOutcome& early);
 
   discovery::Registry& registry;
   const MasterOptions options;
@@ -61,9 +62,9 @@ struct OrderDesk {
 };
 
 /// The outcome of an order that the gateway follows later; nullopt: it follows orders now.
-inline MaybeVerdict waiting(const discovery::GatewayStatus& gateway) {
-  if (!gateway.alive) return Verdict{OrderOutcome::pending, lost_text};
-  if (!gateway.frozen.empty()) return Verdict{OrderOutcome::pending, frozen_text};
+inline EarlyOutcome waiting(const discovery::GatewayStatus& gateway) {
+  if (!gateway.alive) return ReasonedOutcome{OrderOutcome::pending, lost_text};
+  if (!gateway.frozen.empty()) return ReasonedOutcome{OrderOutcome::pending, frozen_text};
   return std::nullopt;
 }
 

@@ -4,10 +4,10 @@
 
 #include <iotcloud/master/orders/adoption.h>
 #include <iotcloud/master/orders/backups.h>
-#include <iotcloud/master/orders/changes.h>
 #include <iotcloud/master/orders/deployments.h>
 #include <iotcloud/master/orders/draining.h>
 #include <iotcloud/master/orders/forgetting.h>
+#include <iotcloud/master/orders/instance_changes.h>
 #include <iotcloud/master/orders/updates.h>
 
 namespace iotcloud::master {
@@ -18,7 +18,7 @@ struct OrderServices {
 
   OrderDesk desk;
   Deployments deployments{desk};
-  Changes changes{desk};
+  InstanceChanges changes{desk};
   Draining draining{desk};
   Adoptions adoptions{desk};
   Forgetting forgetting{desk};

@@ -21,25 +21,25 @@ std::string to_string(OrderOutcome outcome) {
   return "unknown";
 }
 
-std::string to_string(Change change) {
-  switch (change) {
-    case Change::undeploy:
+std::string to_string(InstanceAction action) {
+  switch (action) {
+    case InstanceAction::undeploy:
       return "undeploy";
-    case Change::start:
+    case InstanceAction::start:
       return "start";
-    case Change::stop:
+    case InstanceAction::stop:
       return "stop";
   }
   return "";
 }
 
 bool OrderResult::all_done() const {
-  return refusal == Refusal::none &&
+  return refusal == OrderRefusal::none &&
          std::all_of(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == OrderOutcome::done; });
 }
 
 std::string OrderResult::summary() const {
-  if (refusal != Refusal::none) return text;
+  if (refusal != OrderRefusal::none) return text;
   const auto done =
       std::count_if(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == OrderOutcome::done; });
   auto line = fmt::format("{} of {} done", done, outcomes.size());

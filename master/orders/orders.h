@@ -36,11 +36,11 @@ struct InstanceOutcome {
 };
 
 /// The kinds of orders to an instance that is deployed.
-enum class Change { undeploy, start, stop };
-std::string to_string(Change change);
+enum class InstanceAction { undeploy, start, stop };
+std::string to_string(InstanceAction action);
 
 /// Why a master took no order at all: nothing was written. Numbers are those of TRefusal.
-enum class Refusal {
+enum class OrderRefusal {
   none,
   not_leading,        ///< another master leads: OrderResult::leader
   unknown_gateway,    ///< the text lists the known ones
@@ -54,7 +54,7 @@ enum class Refusal {
 
 /// The answer to an order: refused as a whole, or an outcome for each instance.
 struct OrderResult {
-  Refusal refusal = Refusal::none;
+  OrderRefusal refusal = OrderRefusal::none;
   std::string text;    ///< why the order was refused, and how to mend it
   std::string leader;  ///< host:port of the master that leads, when `not_leading` and known
   std::vector<InstanceOutcome> outcomes;

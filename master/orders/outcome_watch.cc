@@ -84,16 +84,16 @@ void OutcomeWatch::on_driver_names(const std::vector<std::string>& names) {
 void OutcomeWatch::on_record(const std::string& path, const InstanceId& instance, const std::optional<Node>& node) {
   config::MutexLock lock(mutex_);
   auto& expected = expected_[instance];
-  if (expected.verdict) return;
-  expected.verdict = judge(expected, path, node);
-  if (!expected.verdict) return;
+  if (expected.outcome) return;
+  expected.outcome = judge(expected, path, node);
+  if (!expected.outcome) return;
   --open_;
   changed_.notify_all();
 }
 
-std::optional<Verdict> OutcomeWatch::judge(Expected& expected, const std::string& path,
-                                           const std::optional<Node>& node) const {
-  const Verdict done{OrderOutcome::done, ""};
+std::optional<ReasonedOutcome> OutcomeWatch::judge(Expected& expected, const std::string& path,
+                                                   const std::optional<Node>& node) const {
+  const ReasonedOutcome done{OrderOutcome::done, ""};
   if (!node || node->data.empty()) {
     // An instance being deployed has no record under this driver's name, or has none yet.
     return wanted_ == Wanted::gone ? std::optional(done) : std::nullopt;
@@ -128,10 +128,11 @@ std::optional<Verdict> OutcomeWatch::judge(Expected& expected, const std::string
                  : std::nullopt;
     case DriverState::undeployed:
       if (wanted_ == Wanted::gone) return done;
-      return Verdict{OrderOutcome::failed, "it was undeployed meanwhile"};
+      return ReasonedOutcome{OrderOutcome::failed, "it was undeployed meanwhile"};
     case DriverState::failed:
       if (expected.before == std::pair(node->created, node->version)) return std::nullopt;
-      return Verdict{OrderOutcome::failed, record.reason.empty() ? "the gateway gave no reason" : record.reason};
+      return ReasonedOutcome{OrderOutcome::failed,
+                             record.reason.empty() ? "the gateway gave no reason" : record.reason};
     case DriverState::deployed:
     case DriverState::starting:
     case DriverState::stopping:
@@ -141,7 +142,8 @@ std::optional<Verdict> OutcomeWatch::judge(Expected& expected, const std::string
   return std::nullopt;
 }
 
-std::optional<Verdict> OutcomeWatch::judge_metadata(Expected& expected, const discovery::DriverRecord& record) const {
+std::optional<ReasonedOutcome> OutcomeWatch::judge_metadata(Expected& expected,
+                                                            const discovery::DriverRecord& record) const {
   for (const auto& [key, value] : changes_) {
     const auto found = record.metadata.find(key);
     if (found == record.metadata.end() ? value.empty() : found->second == value) continue;
@@ -151,19 +153,19 @@ std::optional<Verdict> OutcomeWatch::judge_metadata(Expected& expected, const di
             : fmt::format("its record says {}={}; what the driver itself reports takes precedence", key, found->second);
     return std::nullopt;
   }
-  return Verdict{OrderOutcome::done, ""};
+  return ReasonedOutcome{OrderOutcome::done, ""};
 }
 
-std::map<InstanceId, Verdict> OutcomeWatch::wait(std::chrono::milliseconds limit, const std::stop_token& stop) {
+std::map<InstanceId, ReasonedOutcome> OutcomeWatch::wait(std::chrono::milliseconds limit, const std::stop_token& stop) {
   const config::MutexLock lock(mutex_);
   changed_.wait_for(mutex_, stop, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return open_ == 0; });
-  std::map<InstanceId, Verdict> verdicts;
+  std::map<InstanceId, ReasonedOutcome> outcomes;
   for (const auto& [instance, expected] : expected_) {
-    verdicts[instance] = expected.verdict
-                             ? *expected.verdict
+    outcomes[instance] = expected.outcome
+                             ? *expected.outcome
                              : without_report(registry_, limit, stop.stop_requested(), expected.last_state);
   }
-  return verdicts;
+  return outcomes;
 }
 
 }  // namespace iotcloud::master

@@ -12,7 +12,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/orders/verdict.h>
+#include <iotcloud/master/orders/reasoned_outcome.h>
 
 namespace iotcloud::master {
 
@@ -49,7 +49,7 @@ class OutcomeWatch {
               const std::optional<discovery::Node>& before, AwaitedVersion version = {});
 
   /// Returns when all outcomes are known, after `limit`, or when `stop` is requested; by instance id.
-  std::map<discovery::InstanceId, Verdict> wait(std::chrono::milliseconds limit, const std::stop_token& stop);
+  std::map<discovery::InstanceId, ReasonedOutcome> wait(std::chrono::milliseconds limit, const std::stop_token& stop);
 
  private:
   struct Expected {
@@ -57,16 +57,16 @@ class OutcomeWatch {
     /// The record's state before the order, and since when; only for `anew`.
     std::optional<std::pair<discovery::DriverState, std::int64_t>> state_before;
     AwaitedVersion version;
-    std::optional<Verdict> verdict;
+    std::optional<ReasonedOutcome> outcome;
     std::string last_state;  ///< the state seen last, for the text of `unknown`
   };
   void watch_record(const discovery::DriverName& driver, const discovery::InstanceId& instance);
   void on_driver_names(const std::vector<std::string>& names);
   void on_record(const std::string& path, const discovery::InstanceId& instance,
                  const std::optional<discovery::Node>& node);
-  std::optional<Verdict> judge_metadata(Expected& expected, const discovery::DriverRecord& record) const;
-  std::optional<Verdict> judge(Expected& expected, const std::string& path,
-                               const std::optional<discovery::Node>& node) const;
+  std::optional<ReasonedOutcome> judge_metadata(Expected& expected, const discovery::DriverRecord& record) const;
+  std::optional<ReasonedOutcome> judge(Expected& expected, const std::string& path,
+                                       const std::optional<discovery::Node>& node) const;
 
   discovery::Registry& registry_;
   const discovery::Paths& paths_;
@@ -76,7 +76,7 @@ class OutcomeWatch {
   config::Mutex mutex_;
   config::StoppableConditionVariable changed_;
   std::map<discovery::InstanceId, Expected> expected_ IOTCLOUD_GUARDED_BY(mutex_);
-  std::size_t open_ IOTCLOUD_GUARDED_BY(mutex_) = 0;  ///< number of expectations without a verdict
+  std::size_t open_ IOTCLOUD_GUARDED_BY(mutex_) = 0;  ///< number of expectations whose outcome is not known
   std::set<discovery::DriverName> driver_names_ IOTCLOUD_GUARDED_BY(mutex_);  ///< the names of all drivers
   std::set<discovery::InstanceId> anywhere_ IOTCLOUD_GUARDED_BY(mutex_);      ///< instances whose driver is not known
   std::vector<discovery::GuardPtr> record_guards_ IOTCLOUD_GUARDED_BY(mutex_);

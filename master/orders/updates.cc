@@ -48,8 +48,8 @@ class RollingUpdate {
 
  private:
   using Texts = std::map<std::string, std::string>;
-  struct Step {
-    Located where;
+  struct UpdatedInstance {
+    LocatedInstance where;
     InstanceOutcome outcome;
     discovery::DriverRecord record;  ///< before the update
     PluginVersion before;
@@ -59,23 +59,23 @@ class RollingUpdate {
     bool active = true;                 ///< the ordered state
     bool ordered = false;               ///< the change was written into its order, or may have been
   };
-  using Steps = std::vector<Step>;
-  using Range = std::pair<Steps::iterator, Steps::iterator>;
+  using Instances = std::vector<UpdatedInstance>;
+  using Step = std::pair<Instances::iterator, Instances::iterator>;
 
   std::optional<OrderResult> prepare();
-  std::string obstacle(Step& step, const std::vector<GatewayStatus>& known);
-  Range next(Steps::iterator from);
-  bool advance(const Range& range);
-  bool stays_up(const Range& range);
-  MaybeVerdict begin(Step& step, OutcomeWatch& watch);
-  void go_back(Steps::iterator end);
-  MaybeVerdict begin_to_go_back(Step& step, OutcomeWatch& watch);
+  std::string obstacle(UpdatedInstance& updated, const std::vector<GatewayStatus>& known);
+  Step next(Instances::iterator from);
+  bool advance(const Step& step);
+  bool stays_up(const Step& step);
+  EarlyOutcome begin(UpdatedInstance& updated, OutcomeWatch& watch);
+  void go_back(Instances::iterator end);
+  EarlyOutcome begin_to_go_back(UpdatedInstance& updated, OutcomeWatch& watch);
   void confirm();
   bool abandoned() const { return desk_.leadership.closing().stop_requested() || !desk_.leadership.lead(); }
-  void leave_out(Steps::iterator from, const std::string& why);
+  void leave_out(Instances::iterator from, const std::string& why);
   OrderResult result() const;
   std::string name() const;
-  static std::string former(const Step& step);
+  static std::string former(const UpdatedInstance& updated);
 
   OrderDesk& desk_;
   InstancesUnderUpdate& under_update_;
@@ -83,27 +83,27 @@ class RollingUpdate {
   const PluginVersion wanted_;  ///< an empty file: each instance keeps its plugin
   std::map<InstanceId, const Texts*> properties_;
   std::vector<InstanceId> reserved_;
-  Steps steps_;
+  Instances instances_;
   std::string failure_;  ///< what ended the update, and where
 };
 
 OrderResult RollingUpdate::run() {
   if (request_.plugin.empty() && request_.properties.empty())
-    return refuse(Refusal::bad_request, "an update gives a plugin, properties or both");
+    return refuse(OrderRefusal::bad_request, "an update gives a plugin, properties or both");
   if (!request_.plugin.empty()) {
     if (auto refusal = refuse_plugin(request_.plugin, request_.sha256)) return *refusal;
   }
   if (request_.at_once < 0 || request_.at_once > UpdateRequest::max_at_once)
-    return refuse(Refusal::bad_request, fmt::format("{} instances at once: must be from 1 to {}", request_.at_once,
-                                                    UpdateRequest::max_at_once));
+    return refuse(OrderRefusal::bad_request, fmt::format("{} instances at once: must be from 1 to {}", request_.at_once,
+                                                         UpdateRequest::max_at_once));
   if (auto refusal = prepare()) return *refusal;
   if (failure_.empty()) {
-    for (auto from = steps_.begin(); from != steps_.end();) {
-      const auto range = next(from);
-      from = range.second;
-      if (advance(range)) continue;
+    for (auto from = instances_.begin(); from != instances_.end();) {
+      const auto step = next(from);
+      from = step.second;
+      if (advance(step)) continue;
       leave_out(from, "not begun");
-      if (!abandoned()) go_back(range.second);
+      if (!abandoned()) go_back(step.second);
       break;
     }
     if (failure_.empty()) confirm();
@@ -116,7 +116,7 @@ OrderResult RollingUpdate::run() {
 /// Checks that every instance can be updated, before anything is written.
 std::optional<OrderResult> RollingUpdate::prepare() {
   const auto known = desk_.gateways();
-  std::vector<Located> instances;
+  std::vector<LocatedInstance> instances;
   if (auto refusal = desk_.book.find_selected(request_.selection, known, instances)) return refusal;
   {
     const config::MutexLock lock(under_update_.mutex);
@@ -125,40 +125,40 @@ std::optional<OrderResult> RollingUpdate::prepare() {
         reserved_.push_back(where.instance);
         continue;
       }
-      return refuse(Refusal::bad_request,
+      return refuse(OrderRefusal::bad_request,
                     fmt::format("an update of {} is under way already; wait for its end", where.instance));
     }
   }
   std::stable_sort(instances.begin(), instances.end(),
                    [](const auto& a, const auto& b) { return a.gateway < b.gateway; });
   for (auto& where : instances) {
-    Step step;
-    step.outcome = {where.gateway, where.instance, OrderOutcome::unknown, ""};
-    step.where = std::move(where);
-    step.wanted = wanted_;
-    if (const auto found = properties_.find(step.where.instance); found != properties_.end())
-      step.properties = found->second;
-    steps_.push_back(std::move(step));
+    UpdatedInstance updated;
+    updated.outcome = {where.gateway, where.instance, OrderOutcome::unknown, ""};
+    updated.where = std::move(where);
+    updated.wanted = wanted_;
+    if (const auto found = properties_.find(updated.where.instance); found != properties_.end())
+      updated.properties = found->second;
+    instances_.push_back(std::move(updated));
   }
-  for (auto& step : steps_) {
-    const std::string reason = obstacle(step, known);
+  for (auto& updated : instances_) {
+    const std::string reason = obstacle(updated, known);
     if (reason.empty()) continue;
-    step.outcome.outcome = OrderOutcome::failed;
-    step.outcome.reason = reason;
-    if (failure_.empty()) failure_ = fmt::format("{} on {}: {}", step.where.instance, step.where.gateway, reason);
+    updated.outcome.outcome = OrderOutcome::failed;
+    updated.outcome.reason = reason;
+    if (failure_.empty()) failure_ = fmt::format("{} on {}: {}", updated.where.instance, updated.where.gateway, reason);
   }
-  if (!failure_.empty()) leave_out(steps_.begin(), "nothing was changed");
+  if (!failure_.empty()) leave_out(instances_.begin(), "nothing was changed");
   return std::nullopt;
 }
 
 /// Why the instance cannot be updated; empty: it can.
-std::string RollingUpdate::obstacle(Step& step, const std::vector<GatewayStatus>& known) {
-  const auto* gateway = find(known, step.where.gateway);
+std::string RollingUpdate::obstacle(UpdatedInstance& updated, const std::vector<GatewayStatus>& known) {
+  const auto* gateway = find(known, updated.where.gateway);
   if (gateway == nullptr) return "its gateway is not registered any more";
   if (!gateway->alive) return "its gateway is lost, so nobody could see whether the update comes off";
-  if (desk_.is_direct(step.where.gateway)) return "its gateway is of the original system, which knows no updates";
-  if (!step.where.record) return "its gateway has not taken it up yet; try again in a moment";
-  step.record = discovery::decode_driver(step.where.record->data, step.where.instance);
+  if (desk_.is_direct(updated.where.gateway)) return "its gateway is of the original system, which knows no updates";
+  if (!updated.where.record) return "its gateway has not taken it up yet; try again in a moment";
+  updated.record = discovery::decode_driver(updated.where.record->data, updated.where.instance);
   return "";
 }
 
@@ -169,50 +169,51 @@ std::string RollingUpdate::name() const {
 }
 
 /// What an instance that goes back has again.
-std::string RollingUpdate::former(const Step& step) {
-  return step.before == step.wanted ? "its former properties" : name_of(step.before);
+std::string RollingUpdate::former(const UpdatedInstance& updated) {
+  return updated.before == updated.wanted ? "its former properties" : name_of(updated.before);
 }
 
 /// The instances of the next step.
-RollingUpdate::Range RollingUpdate::next(Steps::iterator from) {
+RollingUpdate::Step RollingUpdate::next(Instances::iterator from) {
   if (request_.at_once > 0) {
-    const auto left = std::distance(from, steps_.end());
+    const auto left = std::distance(from, instances_.end());
     return {from, from + std::min<std::ptrdiff_t>(left, request_.at_once)};
   }
-  return {from, std::find_if(from, steps_.end(),
-                             [&](const Step& step) { return step.where.gateway != from->where.gateway; })};
+  return {from, std::find_if(from, instances_.end(), [&](const UpdatedInstance& updated) {
+            return updated.where.gateway != from->where.gateway;
+          })};
 }
 
 /// Updates the instances of one step. \return whether all of them run the new version; else `failure_` says why not.
-bool RollingUpdate::advance(const Range& range) {
+bool RollingUpdate::advance(const Step& step) {
   OutcomeWatch watch(desk_.registry, desk_.options.paths, OutcomeWatch::Wanted::updated);
-  for (auto step = range.first; step != range.second; ++step)
-    OrderDesk::set_verdict(step->outcome, begin(*step, watch));
-  const auto verdicts = watch.wait(desk_.limit(request_.selection.wait), desk_.leadership.closing());
+  for (auto updated = step.first; updated != step.second; ++updated)
+    OrderDesk::set_outcome(updated->outcome, begin(*updated, watch));
+  const auto outcomes = watch.wait(desk_.limit(request_.selection.wait), desk_.leadership.closing());
   bool good = true;
-  for (auto step = range.first; step != range.second; ++step) {
-    if (const auto found = verdicts.find(step->where.instance); found != verdicts.end())
-      OrderDesk::set_verdict(step->outcome, found->second);
-    if (step->outcome.outcome == OrderOutcome::done) continue;
+  for (auto updated = step.first; updated != step.second; ++updated) {
+    if (const auto found = outcomes.find(updated->where.instance); found != outcomes.end())
+      OrderDesk::set_outcome(updated->outcome, found->second);
+    if (updated->outcome.outcome == OrderOutcome::done) continue;
     good = false;
     if (failure_.empty())
-      failure_ = fmt::format("{} on {}: {}", step->where.instance, step->where.gateway, step->outcome.reason);
+      failure_ = fmt::format("{} on {}: {}", updated->where.instance, updated->where.gateway, updated->outcome.reason);
   }
-  good = good && stays_up(range);
-  logger.info("update to {}: {} on {} and so on: {}", name(), range.first->where.instance, range.first->where.gateway,
+  good = good && stays_up(step);
+  logger.info("update to {}: {} on {} and so on: {}", name(), step.first->where.instance, step.first->where.gateway,
               good ? "done" : failure_);
   return good;
 }
 
 /// Waits for the settle time, because a driver that fails as soon as it is up has not come up.
-/// \return whether all instances of the range stayed up; else `failure_` and the instance's outcome say which did not.
-bool RollingUpdate::stays_up(const Range& range) {
-  std::vector<Steps::iterator> watched;
+/// \return whether all instances of the step stayed up; else `failure_` and the instance's outcome say which did not.
+bool RollingUpdate::stays_up(const Step& step) {
+  std::vector<Instances::iterator> watched;
   std::vector<std::string> paths;
-  for (auto step = range.first; step != range.second; ++step) {
-    if (!step->ordered) continue;
-    watched.push_back(step);
-    paths.push_back(desk_.options.paths.instance(step->where.driver, step->where.instance));
+  for (auto updated = step.first; updated != step.second; ++updated) {
+    if (!updated->ordered) continue;
+    watched.push_back(updated);
+    paths.push_back(desk_.options.paths.instance(updated->where.driver, updated->where.instance));
   }
   std::map<InstanceId, std::int64_t> up_since;
   config::Mutex asleep;
@@ -245,120 +246,124 @@ bool RollingUpdate::stays_up(const Range& range) {
   return true;
 }
 
-MaybeVerdict RollingUpdate::begin(Step& step, OutcomeWatch& watch) {
-  return desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
-    if (const auto order = desk_.book.get(step.where.gateway, step.where.instance)) {
+EarlyOutcome RollingUpdate::begin(UpdatedInstance& updated, OutcomeWatch& watch) {
+  return desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
+    if (const auto order = desk_.book.get(updated.where.gateway, updated.where.instance)) {
       const auto state = order->active ? DriverState::active : DriverState::inactive;
-      if (wanted_.file.empty()) step.wanted = order->version();
-      const bool same_properties = step.properties == nullptr || *step.properties == order->properties;
-      if (order->version() == step.wanted && same_properties && step.record.state == state)
-        return Verdict{OrderOutcome::done, step.properties == nullptr ? "it runs this version already"
-                                                                      : "it has this version and properties already"};
+      if (wanted_.file.empty()) updated.wanted = order->version();
+      const bool same_properties = updated.properties == nullptr || *updated.properties == order->properties;
+      if (order->version() == updated.wanted && same_properties && updated.record.state == state)
+        return ReasonedOutcome{OrderOutcome::done, updated.properties == nullptr
+                                                       ? "it runs this version already"
+                                                       : "it has this version and properties already"};
     }
-    const auto record = step.properties == nullptr
-                            ? step.where.record
-                            : desk_.registry.get(desk_.options.paths.instance(step.where.driver, step.where.instance));
-    step.ordered = true;  // set before the write, because its answer may be lost
-    auto verdict = desk_.book.rewrite(step.where, lead, [&](OrderRecord& order) {
-      step.before = order.version();
-      step.properties_before = order.properties;
-      step.active = order.active;
+    const auto record =
+        updated.properties == nullptr
+            ? updated.where.record
+            : desk_.registry.get(desk_.options.paths.instance(updated.where.driver, updated.where.instance));
+    updated.ordered = true;  // set before the write, because its answer may be lost
+    auto early = desk_.book.rewrite(updated.where, lead, [&](OrderRecord& order) {
+      updated.before = order.version();
+      updated.properties_before = order.properties;
+      updated.active = order.active;
       // The driver's name is part of its topics, so it must stay when the plugin's file has another name.
-      if (order.driver.empty()) order.driver = step.where.driver;
-      if (step.properties != nullptr) order.properties = *step.properties;
-      if (wanted_.file.empty()) step.wanted = order.version();
-      if (order.version() == step.wanted) return;
+      if (order.driver.empty()) order.driver = updated.where.driver;
+      if (updated.properties != nullptr) order.properties = *updated.properties;
+      if (wanted_.file.empty()) updated.wanted = order.version();
+      if (order.version() == updated.wanted) return;
       order.previous = order.version();
-      order.plugin = step.wanted.file;
-      order.sha256 = step.wanted.sha256;
+      order.plugin = updated.wanted.file;
+      order.sha256 = updated.wanted.sha256;
     });
-    if (verdict) return verdict;
-    const bool other_version = step.before != step.wanted;
-    const bool same_name = step.wanted.file == step.record.plugin && other_version;
-    watch.expect(
-        step.where.instance, step.where.driver, record,
-        {step.wanted.file, step.wanted.sha256, same_name ? step.record.sha256 : "", step.active, !other_version});
+    if (early) return early;
+    const bool other_version = updated.before != updated.wanted;
+    const bool same_name = updated.wanted.file == updated.record.plugin && other_version;
+    watch.expect(updated.where.instance, updated.where.driver, record,
+                 {updated.wanted.file, updated.wanted.sha256, same_name ? updated.record.sha256 : "", updated.active,
+                  !other_version});
     return std::nullopt;
   });
 }
 
 /// Rolls back the instances from the first step on. \param end of the instances that may have been updated.
-void RollingUpdate::go_back(Steps::iterator end) {
+void RollingUpdate::go_back(Instances::iterator end) {
   logger.warn("the update to {} goes back: {}", name(), failure_);
   OutcomeWatch watch(desk_.registry, desk_.options.paths, OutcomeWatch::Wanted::updated);
-  std::map<InstanceId, Verdict> verdicts;
-  for (auto step = steps_.begin(); step != end; ++step) {
-    if (!step->ordered) continue;
-    if (const auto verdict = begin_to_go_back(*step, watch)) verdicts[step->where.instance] = *verdict;
+  std::map<InstanceId, ReasonedOutcome> outcomes;
+  for (auto updated = instances_.begin(); updated != end; ++updated) {
+    if (!updated->ordered) continue;
+    if (const auto early = begin_to_go_back(*updated, watch)) outcomes[updated->where.instance] = *early;
   }
-  verdicts.merge(watch.wait(desk_.limit(request_.selection.wait), desk_.leadership.closing()));
-  for (auto step = steps_.begin(); step != end; ++step) {
-    const auto found = verdicts.find(step->where.instance);
-    if (found == verdicts.end()) continue;
-    auto& outcome = step->outcome;
+  outcomes.merge(watch.wait(desk_.limit(request_.selection.wait), desk_.leadership.closing()));
+  for (auto updated = instances_.begin(); updated != end; ++updated) {
+    const auto found = outcomes.find(updated->where.instance);
+    if (found == outcomes.end()) continue;
+    auto& outcome = updated->outcome;
     const std::string why = outcome.outcome == OrderOutcome::done ? "the update failed, " + failure_ : outcome.reason;
     outcome.outcome = OrderOutcome::failed;
     outcome.reason = found->second.outcome == OrderOutcome::done
-                         ? fmt::format("back on {}: {}", former(*step), why)
-                         : fmt::format("{}; going back to {}: {}: {}", why, former(*step),
+                         ? fmt::format("back on {}: {}", former(*updated), why)
+                         : fmt::format("{}; going back to {}: {}: {}", why, former(*updated),
                                        to_string(found->second.outcome), found->second.reason);
   }
 }
 
-MaybeVerdict RollingUpdate::begin_to_go_back(Step& step, OutcomeWatch& watch) {
-  return desk_.leadership.written([&](const discovery::Lead& lead) -> MaybeVerdict {
+EarlyOutcome RollingUpdate::begin_to_go_back(UpdatedInstance& updated, OutcomeWatch& watch) {
+  return desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
     bool ours = false;
     // Without another plugin, only a state that is reached after the order shows that the instance is back.
-    const auto now = step.before == step.wanted
-                         ? desk_.registry.get(desk_.options.paths.instance(step.where.driver, step.where.instance))
-                         : std::nullopt;
-    auto verdict = desk_.book.rewrite(step.where, lead, [&](OrderRecord& order) {
-      const bool other_version = step.before != step.wanted;
-      ours = order.version() == step.wanted && order.previous.has_value() == other_version &&
-             (step.properties == nullptr || order.properties == *step.properties);
+    const auto now =
+        updated.before == updated.wanted
+            ? desk_.registry.get(desk_.options.paths.instance(updated.where.driver, updated.where.instance))
+            : std::nullopt;
+    auto early = desk_.book.rewrite(updated.where, lead, [&](OrderRecord& order) {
+      const bool other_version = updated.before != updated.wanted;
+      ours = order.version() == updated.wanted && order.previous.has_value() == other_version &&
+             (updated.properties == nullptr || order.properties == *updated.properties);
       if (!ours) return;
-      if (step.properties != nullptr) order.properties = step.properties_before;
+      if (updated.properties != nullptr) order.properties = updated.properties_before;
       if (!other_version) return;
-      step.before = *order.previous;
-      order.plugin = step.before.file;
-      order.sha256 = step.before.sha256;
+      updated.before = *order.previous;
+      order.plugin = updated.before.file;
+      order.sha256 = updated.before.sha256;
       order.previous.reset();
     });
-    if (verdict) return verdict;
-    if (!ours) return Verdict{OrderOutcome::failed, "another order was given for it meanwhile, which stands"};
-    const bool known = !step.record.sha256.empty() && step.record.plugin == step.before.file;
-    const bool other_version = step.before != step.wanted;
-    const auto sha256 = known ? step.record.sha256 : step.before.sha256;
-    watch.expect(step.where.instance, step.where.driver, now,
-                 {step.before.file, sha256, other_version ? step.wanted.sha256 : "", step.active, !other_version});
+    if (early) return early;
+    if (!ours) return ReasonedOutcome{OrderOutcome::failed, "another order was given for it meanwhile, which stands"};
+    const bool known = !updated.record.sha256.empty() && updated.record.plugin == updated.before.file;
+    const bool other_version = updated.before != updated.wanted;
+    const auto sha256 = known ? updated.record.sha256 : updated.before.sha256;
+    watch.expect(
+        updated.where.instance, updated.where.driver, now,
+        {updated.before.file, sha256, other_version ? updated.wanted.sha256 : "", updated.active, !other_version});
     return std::nullopt;
   });
 }
 
 /// Ends a successful update: gateways need not keep the version before any more.
 void RollingUpdate::confirm() {
-  for (auto& step : steps_) {
-    if (!step.ordered || step.before == step.wanted) continue;
+  for (auto& updated : instances_) {
+    if (!updated.ordered || updated.before == updated.wanted) continue;
     const auto problem = desk_.leadership.written([&](const discovery::Lead& lead) {
-      return desk_.book.rewrite(step.where, lead, [&](OrderRecord& order) {
-        if (order.version() == step.wanted) order.previous.reset();
+      return desk_.book.rewrite(updated.where, lead, [&](OrderRecord& order) {
+        if (order.version() == updated.wanted) order.previous.reset();
       });
     });
-    if (problem) logger.warn("{} keeps the version before the update too: {}", step.where.instance, problem->reason);
+    if (problem) logger.warn("{} keeps the version before the update too: {}", updated.where.instance, problem->reason);
   }
 }
 
-void RollingUpdate::leave_out(Steps::iterator from, const std::string& why) {
-  for (auto step = from; step != steps_.end(); ++step) {
-    if (step->outcome.outcome != OrderOutcome::unknown) continue;
-    step->outcome.outcome = OrderOutcome::failed;
-    step->outcome.reason = fmt::format("{}: {}", why, failure_);
+void RollingUpdate::leave_out(Instances::iterator from, const std::string& why) {
+  for (auto updated = from; updated != instances_.end(); ++updated) {
+    if (updated->outcome.outcome != OrderOutcome::unknown) continue;
+    updated->outcome.outcome = OrderOutcome::failed;
+    updated->outcome.reason = fmt::format("{}: {}", why, failure_);
   }
 }
 
 OrderResult RollingUpdate::result() const {
   OrderResult all;
-  for (const auto& step : steps_) all.outcomes.push_back(step.outcome);
+  for (const auto& updated : instances_) all.outcomes.push_back(updated.outcome);
   return all;
 }
 

@@ -350,23 +350,23 @@ InstanceOutcome OriginalGateways::deploy(const GatewayId& gateway, const DeployR
   return outcome;
 }
 
-InstanceOutcome OriginalGateways::change(const GatewayId& gateway, const InstanceId& instance, Change change,
+InstanceOutcome OriginalGateways::change(const GatewayId& gateway, const InstanceId& instance, InstanceAction action,
                                          milliseconds limit) {
   InstanceOutcome outcome{gateway, instance, OrderOutcome::failed, "the gateway is not registered any more"};
   const auto tended = impl_->find(gateway);
   if (!tended) return outcome;
-  const auto answer = site_change(tended->site, instance, change, limit);
+  const auto answer = site_change(tended->site, instance, action, limit);
   outcome.outcome = answer.outcome;
   outcome.reason = answer.outcome == OrderOutcome::done ? "" : answer.text;
   if (answer.outcome != OrderOutcome::done) return outcome;
   try {
-    if (change == Change::undeploy) {
+    if (action == InstanceAction::undeploy) {
       impl_->remove_record(gateway, instance);  // the gateway may have removed it already
       return outcome;
     }
     for (auto driver : discovery::list_drivers(impl_->registry, impl_->options.paths)) {
       if (driver.gateway != gateway || driver.instance != instance) continue;
-      driver.state = change == Change::start ? DriverState::active : DriverState::inactive;
+      driver.state = action == InstanceAction::start ? DriverState::active : DriverState::inactive;
       driver.since_ms = config::system_clock().wall_ms();
       impl_->write_driver(driver);
     }

@@ -45,8 +45,8 @@ class OriginalGateways final : public DirectGateways {
   /// `done` only when the gateway has registered the new instance; the outcome has its id.
   InstanceOutcome deploy(const discovery::GatewayId& gateway, const DeployRequest& request,
                          std::chrono::milliseconds limit) override;
-  InstanceOutcome change(const discovery::GatewayId& gateway, const discovery::InstanceId& instance, Change change,
-                         std::chrono::milliseconds limit) override;
+  InstanceOutcome change(const discovery::GatewayId& gateway, const discovery::InstanceId& instance,
+                         InstanceAction action, std::chrono::milliseconds limit) override;
 
  private:
   struct Impl;

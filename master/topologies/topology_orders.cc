@@ -21,12 +21,12 @@ std::string to_string(TopologyChange change) {
 }
 
 bool TopologyResult::all_done() const {
-  return refusal == Refusal::none &&
+  return refusal == OrderRefusal::none &&
          std::all_of(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == OrderOutcome::done; });
 }
 
 std::string TopologyResult::summary() const {
-  if (refusal != Refusal::none) return text;
+  if (refusal != OrderRefusal::none) return text;
   const auto done =
       std::count_if(outcomes.begin(), outcomes.end(), [](const auto& o) { return o.outcome == OrderOutcome::done; });
   std::string line = fmt::format("{} of {} workers done", done, outcomes.size());

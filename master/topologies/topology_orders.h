@@ -17,7 +17,7 @@ std::string to_string(TopologyChange change);
 struct TopologyRequest {
   discovery::TopologyName topology;
   TopologyChange change = TopologyChange::activate;
-  std::map<std::string, int> parallelism;   ///< rebalance: for `rebalance`: parallelism in each worker, by component
+  std::map<std::string, int> parallelism;   ///< for `rebalance`: the parallelism in each worker, by component
   std::chrono::milliseconds drain{10'000};  ///< for `kill`: how long workers wait at most for tuples under way
   WaitLimit wait;                           ///< nullopt with `kill`: at least `drain` plus ten seconds
   static constexpr const char* what = "an order to a topology";
@@ -40,7 +40,7 @@ struct WorkerOutcome {
 
 /// The answer: refused as a whole (nothing was written), or an outcome for each worker that ran.
 struct TopologyResult {
-  Refusal refusal = Refusal::none;
+  OrderRefusal refusal = OrderRefusal::none;
   std::string text;    ///< why the order was refused, or a remark besides the outcomes
   std::string leader;  ///< host:port of the master that leads, when `not_leading` and known
   std::vector<WorkerOutcome> outcomes;

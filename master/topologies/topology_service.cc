@@ -28,7 +28,7 @@ constexpr milliseconds longest_drain{600'000};
 /// How long, after their drain, the workers of a killed topology have to close and to end.
 constexpr milliseconds end_margin{10'000};
 
-TopologyResult refuse_topology(Refusal refusal, std::string text) {
+TopologyResult refuse_topology(OrderRefusal refusal, std::string text) {
   return {refusal, std::move(text), "", {}};
 }
 
@@ -69,7 +69,7 @@ std::string check_parallelism(const TopologyRequest& request, const std::vector<
 
 TopologyResult TopologyService::order(const TopologyRequest& request) {
   if (to_string(request.change).empty())
-    return refuse_topology(Refusal::bad_request,
+    return refuse_topology(OrderRefusal::bad_request,
                            "this master does not know that change of a topology; it is older than the client");
   auto bounded = request;
   bounded.drain = std::clamp(request.drain, milliseconds{0}, longest_drain);
@@ -79,11 +79,11 @@ TopologyResult TopologyService::order(const TopologyRequest& request) {
       result = follow(bounded);
     } catch (const RegistryError& e) {
       if (e.code() == RegistryErrorCode::away || e.code() == RegistryErrorCode::fenced) throw;
-      result = refuse_topology(Refusal::bad_request, e.what());
+      result = refuse_topology(OrderRefusal::bad_request, e.what());
     }
     return {};
   });
-  if (refusal.refusal == Refusal::none) return result;
+  if (refusal.refusal == OrderRefusal::none) return result;
   return {refusal.refusal, refusal.text, refusal.leader, {}};
 }
 
@@ -96,15 +96,15 @@ std::optional<TopologyResult> TopologyService::refuse_unknown_topology(const dis
   std::vector<discovery::TopologyName> known;
   for (const auto& topology : discovery::list_topologies(desk_.registry, desk_.options.paths))
     known.push_back(topology.record.name);
-  return refuse_topology(Refusal::unknown_topology,
+  return refuse_topology(OrderRefusal::unknown_topology,
                          known.empty() ? fmt::format("no topology \"{}\"; none runs", name)
                                        : fmt::format("no topology \"{}\"; there are {}", name, fmt::join(known, ", ")));
 }
 
 /// \throws config::Error when the order cannot be given.
-TopologyService::Change TopologyService::changed_order(const std::optional<Node>& node, std::int64_t known,
-                                                       const TopologyRequest& request, const Workers& workers,
-                                                       const discovery::Lead& lead, milliseconds wait) const {
+TopologyService::ChangedOrder TopologyService::changed_order(const std::optional<Node>& node, std::int64_t known,
+                                                             const TopologyRequest& request, const Workers& workers,
+                                                             const discovery::Lead& lead, milliseconds wait) const {
   TopologyOrder order;
   const std::string path = desk_.options.paths.topology_order(request.topology);
   const bool ours = node && desk_.book.is_ours(path, node->data);
@@ -153,13 +153,13 @@ TopologyService::Change TopologyService::changed_order(const std::optional<Node>
   return {order, forgets};
 }
 
-TopologyService::Change TopologyService::write_order(const TopologyRequest& request, const Workers& workers,
-                                                     const discovery::Lead& lead, milliseconds wait) {
+TopologyService::ChangedOrder TopologyService::write_order(const TopologyRequest& request, const Workers& workers,
+                                                           const discovery::Lead& lead, milliseconds wait) {
   const std::string path = desk_.options.paths.topology_order(request.topology);
   while (!desk_.leadership.closing().stop_requested()) {
     const auto known = desk_.book.last_given(path);  // before the node is read
     const auto node = desk_.registry.get(path);
-    const Change change = changed_order(node, known, request, workers, lead, wait);
+    const ChangedOrder change = changed_order(node, known, request, workers, lead, wait);
     try {
       desk_.book.put_topology(path, node, change.order, lead);
       return change;
@@ -175,17 +175,18 @@ TopologyService::Change TopologyService::write_order(const TopologyRequest& requ
 
 TopologyResult TopologyService::follow(const TopologyRequest& request) {
   const auto lead = desk_.leadership.lead();
-  if (!lead) return refuse_topology(Refusal::not_leading, lost_lead_text);
+  if (!lead) return refuse_topology(OrderRefusal::not_leading, lost_lead_text);
   if (auto refusal = refuse_unknown_topology(request.topology)) return *refusal;
   const auto workers = discovery::list_workers(desk_.registry, desk_.options.paths, request.topology);
   const bool kill = request.change == TopologyChange::kill;
   if (request.change == TopologyChange::rebalance) {
     if (workers.empty())
-      return refuse_topology(Refusal::bad_request, fmt::format("no worker of topology {} runs, so what its components "
-                                                               "can have is not known; start one first",
-                                                               request.topology));
+      return refuse_topology(OrderRefusal::bad_request,
+                             fmt::format("no worker of topology {} runs, so what its components "
+                                         "can have is not known; start one first",
+                                         request.topology));
     if (const auto problem = check_parallelism(request, workers); !problem.empty())
-      return refuse_topology(Refusal::bad_request, problem);
+      return refuse_topology(OrderRefusal::bad_request, problem);
   }
   TopologyResult result;
   if (kill && workers.empty()) {
@@ -199,16 +200,17 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
   if (workers.empty()) result.text = "no worker runs; those that start will follow";
   if (forgets && !kill) {
     result.text += (result.text.empty() ? "" : "; ") +
-                   std::string("somebody else's or an old order stood there, and the parallelism that it gave is "
-                               "forgotten: `iotcloud topology rebalance` gives it again");
+                   std::string(
+                       "somebody else's or an old order stood there, and the parallelism that it gave is "
+                       "forgotten: `iotcloud topology rebalance` gives it again");
   }
 
   TopologyWatch watch(desk_.registry, desk_.options.paths, request.topology, order.revision, kill);
   for (const WorkerRecord& worker : workers) watch.expect(worker.name);
-  const auto verdicts = watch.wait(wait, desk_.leadership.closing());
+  const auto outcomes = watch.wait(wait, desk_.leadership.closing());
   for (const WorkerRecord& worker : workers) {
-    const auto& verdict = verdicts.at(worker.name);
-    result.outcomes.push_back({worker.name, worker.host, verdict.outcome, verdict.reason});
+    const auto& outcome = outcomes.at(worker.name);
+    result.outcomes.push_back({worker.name, worker.host, outcome.outcome, outcome.reason});
   }
   if (kill) clear_killed(request.topology, *lead, result);
   for (const auto& outcome : result.outcomes)

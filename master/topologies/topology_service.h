@@ -19,18 +19,18 @@ class TopologyService {
 
  private:
   using Workers = std::vector<discovery::WorkerRecord>;
-  struct Change {
+  struct ChangedOrder {
     discovery::TopologyOrder order;  ///< as it is to be from now on
     bool forgets = false;            ///< nothing is left of the order that stood there
   };
   TopologyResult follow(const TopologyRequest& request);
   std::optional<TopologyResult> refuse_unknown_topology(const discovery::TopologyName& name);
   /// \param known when this master gave the last order, as it knew before it read the node
-  Change changed_order(const std::optional<discovery::Node>& node, std::int64_t known,
-                       const TopologyRequest& request, const Workers& workers, const discovery::Lead& lead,
-                       std::chrono::milliseconds wait) const;
-  Change write_order(const TopologyRequest& request, const Workers& workers, const discovery::Lead& lead,
-                     std::chrono::milliseconds wait);
+  ChangedOrder changed_order(const std::optional<discovery::Node>& node, std::int64_t known,
+                             const TopologyRequest& request, const Workers& workers, const discovery::Lead& lead,
+                             std::chrono::milliseconds wait) const;
+  ChangedOrder write_order(const TopologyRequest& request, const Workers& workers, const discovery::Lead& lead,
+                           std::chrono::milliseconds wait);
   void clear_killed(const discovery::TopologyName& topology, const discovery::Lead& lead, TopologyResult& result);
 
   OrderDesk& desk_;

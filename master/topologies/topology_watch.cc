@@ -39,14 +39,14 @@ void TopologyWatch::on_worker(const std::string& worker, const std::optional<Nod
     }
     expected.last_state = fmt::format("last state: {}, order {}", record.state, record.revision);
     if (!kill_ && record.revision >= revision_) {
-      expected.verdict =
-          record.error.empty() ? Verdict{OrderOutcome::done, ""} : Verdict{OrderOutcome::failed, record.error};
+      expected.outcome = record.error.empty() ? ReasonedOutcome{OrderOutcome::done, ""}
+                                              : ReasonedOutcome{OrderOutcome::failed, record.error};
     }
   }
   changed_.notify_all();
 }
 
-Verdict TopologyWatch::of_gone(const std::string& worker) {
+ReasonedOutcome TopologyWatch::of_gone(const std::string& worker) {
   if (!kill_) return {OrderOutcome::failed, "it ended, or the registry lost it, before it reported"};
   const auto end = registry_.get(paths_.ended_workers(topology_) + "/" + worker);
   if (!end) return {OrderOutcome::failed, "it is gone without a word whether it drained: it crashed, or was killed"};
@@ -54,27 +54,28 @@ Verdict TopologyWatch::of_gone(const std::string& worker) {
   return {OrderOutcome::failed, "it ended, but " + end->data};
 }
 
-std::map<std::string, Verdict> TopologyWatch::wait(std::chrono::milliseconds limit, const std::stop_token& stop) {
+std::map<std::string, ReasonedOutcome> TopologyWatch::wait(std::chrono::milliseconds limit,
+                                                           const std::stop_token& stop) {
   std::map<std::string, Expected> seen;
   {
     const config::MutexLock lock(mutex_);
     changed_.wait_for(mutex_, stop, limit, [this]() IOTCLOUD_REQUIRES(mutex_) {
       return std::all_of(expected_.begin(), expected_.end(),
-                         [](const auto& entry) { return entry.second.verdict || entry.second.gone; });
+                         [](const auto& entry) { return entry.second.outcome || entry.second.gone; });
     });
     seen = expected_;
   }
-  std::map<std::string, Verdict> verdicts;
+  std::map<std::string, ReasonedOutcome> outcomes;
   for (const auto& [worker, expected] : seen) {
-    if (expected.verdict) {
-      verdicts[worker] = *expected.verdict;
+    if (expected.outcome) {
+      outcomes[worker] = *expected.outcome;
     } else if (expected.gone) {
-      verdicts[worker] = of_gone(worker);
+      outcomes[worker] = of_gone(worker);
     } else {
-      verdicts[worker] = without_report(registry_, limit, stop.stop_requested(), expected.last_state);
+      outcomes[worker] = without_report(registry_, limit, stop.stop_requested(), expected.last_state);
     }
   }
-  return verdicts;
+  return outcomes;
 }
 
 }  // namespace iotcloud::master

@@ -11,7 +11,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
-#include <iotcloud/master/orders/verdict.h>
+#include <iotcloud/master/orders/reasoned_outcome.h>
 
 namespace iotcloud::master {
 
@@ -31,16 +31,16 @@ class TopologyWatch {
 
   /// Returns the outcomes by worker when all are known, after `limit`, or when `stop` is requested.
   /// \throws discovery::RegistryError
-  std::map<std::string, Verdict> wait(std::chrono::milliseconds limit, const std::stop_token& stop);
+  std::map<std::string, ReasonedOutcome> wait(std::chrono::milliseconds limit, const std::stop_token& stop);
 
  private:
   struct Expected {
     bool gone = false;
-    std::optional<Verdict> verdict;
+    std::optional<ReasonedOutcome> outcome;
     std::string last_state;  ///< the state seen last, for the reason of `unknown`
   };
   void on_worker(const std::string& worker, const std::optional<discovery::Node>& node);
-  Verdict of_gone(const std::string& worker);
+  ReasonedOutcome of_gone(const std::string& worker);
 
   discovery::Registry& registry_;
   const discovery::Paths& paths_;

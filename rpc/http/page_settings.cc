@@ -11,7 +11,7 @@ std::string exposure(const PageSettings& settings) {
                           "read the pages");
 }
 
-PageSettings read_page_settings(config::Section& file) {
+PageSettings read_page_settings(config::YamlSection& file) {
   PageSettings settings;
   auto section = file.optional_section("metrics");
   if (!section) return settings;

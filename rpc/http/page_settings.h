@@ -19,7 +19,7 @@ struct PageSettings {
 
 /// Reads `metrics: {address, tls: {ca, certificate, key}, tokens}`. Without the section there are no pages.
 /// \throws ConfigError, also if exposure() gives a reason.
-PageSettings read_page_settings(config::Section& file);
+PageSettings read_page_settings(config::YamlSection& file);
 
 /// Why no pages may be served with these settings; empty: they may. They show data, so an address that other machines
 /// can reach needs TLS and tokens.

@@ -17,7 +17,7 @@ using testing::HasSubstr;
 using namespace std::chrono_literals;
 
 BrokerOptions read(const std::string& text) {
-  auto section = config::Section::parse(text, "broker.yaml");
+  auto section = config::YamlSection::parse(text, "broker.yaml");
   BrokerOptions options = read_broker_options(section, 10s);
   section.finish();
   return options;
@@ -62,7 +62,7 @@ TEST(BrokerSetting, ReadsWhatConnectingTakes) {
 TEST(BrokerSetting, TheHeartbeatIsAtMostHalfOfTheRegistrysSessionTimeout) {
   EXPECT_EQ(read("urls: []").heartbeat, 4s);
   EXPECT_THAT(error_of("heartbeat: 6s"), HasSubstr("5000 ms"));
-  auto section = config::Section::parse("{}", "broker.yaml");
+  auto section = config::YamlSection::parse("{}", "broker.yaml");
   EXPECT_EQ(read_broker_options(section, 2s).heartbeat, 1s);
 }
 

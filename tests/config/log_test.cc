@@ -68,7 +68,7 @@ TEST_F(Log, writes_an_object_on_each_line_as_json_whatever_bytes_are_in_it) {
 }
 
 TEST_F(Log, is_set_by_the_section_log_of_a_file) {
-  auto top = Section::parse("log: {level: error, format: json}", "a.yaml");
+  auto top = YamlSection::parse("log: {level: error, format: json}", "a.yaml");
   const LogSettings settings = read_log_settings(top);
   EXPECT_NO_THROW(top.finish());
   apply(settings);
@@ -76,7 +76,7 @@ TEST_F(Log, is_set_by_the_section_log_of_a_file) {
   EXPECT_THAT(log_options(), testing::ElementsAre("--log-level", "error", "--log-format", "json"));
   apply({});
   EXPECT_EQ(log_level(), LogLevel::error) << "what is not said stays";
-  auto wrong = Section::parse("log:\n  level: loud", "a.yaml");
+  auto wrong = YamlSection::parse("log:\n  level: loud", "a.yaml");
   try {
     read_log_settings(wrong);
     FAIL();

@@ -11,15 +11,15 @@
 
 namespace {
 
-using iotcloud::config::Section;
-using iotcloud::config::Service;
+using iotcloud::config::DaemonService;
+using iotcloud::config::YamlSection;
 using iotcloud::rpc::MetricsEndpoint;
 
 /// A daemon whose file says how it behaves when it is stopped.
-class TinyService : public Service {
+class TinyService : public DaemonService {
  public:
   explicit TinyService(const std::string& file) {
-    auto top = Section::load_file(file);
+    auto top = YamlSection::load_file(file);
     start_ = top.choice_or("start", "at once", {"at once", "wait"});
     stop_ = top.choice_or("stop", "at once", {"at once", "hang"});
     metrics_ = top.optional_string("metrics");

@@ -36,7 +36,7 @@ class AskedKeys : public testing::Test {
 };
 
 TEST_F(AskedKeys, AreListedWhetherTheyAreThereOrNotWithWhatTheReaderSaysOfThem) {
-  Section top = Section::parse("id: a\nport: 5", "x");
+  YamlSection top = YamlSection::parse("id: a\nport: 5", "x");
   top.require_string("id");
   top.int_or("port", 80, 1, 65535);
   top.bool_or("fast", true);
@@ -50,10 +50,10 @@ TEST_F(AskedKeys, AreListedWhetherTheyAreThereOrNotWithWhatTheReaderSaysOfThem) 
 }
 
 TEST_F(AskedKeys, InNamedSectionsAndSequencesStandOnceUnderAPlaceholder) {
-  Section top =
-      Section::parse("brokers: {a: {url: x}, b: {url: y}}\ninputs: [{from: a}, {from: b}]\nlog: {level: x}", "x");
+  YamlSection top =
+      YamlSection::parse("brokers: {a: {url: x}, b: {url: y}}\ninputs: [{from: a}, {from: b}]\nlog: {level: x}", "x");
   for (auto& [name, broker] : top.sections("brokers")) broker.string_or("url", "");
-  for (Section& input : top.section_list("inputs")) input.require_string("from");
+  for (YamlSection& input : top.section_list("inputs")) input.require_string("from");
   top.require_section("log").string_or("level", "info");
   EXPECT_THAT(keys_,
               ElementsAre(AskedKey{"brokers", "mapping of mappings", "", "", false},
@@ -64,19 +64,19 @@ TEST_F(AskedKeys, InNamedSectionsAndSequencesStandOnceUnderAPlaceholder) {
 }
 
 TEST_F(AskedKeys, ThatAreAskedForAsTextFirstAreWhatTheyAreReadAs) {
-  Section top = Section::parse("pending: 5", "x");
+  YamlSection top = YamlSection::parse("pending: 5", "x");
   if (top.optional_string("pending")) top.int_or("pending", 0, 0, 10);
   EXPECT_THAT(keys_, ElementsAre(AskedKey{"pending", "whole number", "0", "0 to 10", false}));
 }
 
 TEST_F(AskedKeys, AreNotRecordedAfterwards) {
   record_asked_keys(nullptr);
-  Section::parse("id: a", "x").require_string("id");
+  YamlSection::parse("id: a", "x").require_string("id");
   EXPECT_THAT(keys_, IsEmpty());
 }
 
 TEST_F(AskedKeys, AreJsonForPrograms) {
-  Section::parse("id: a", "x").int_or("n", 1, 0, 2);
+  YamlSection::parse("id: a", "x").int_or("n", 1, 0, 2);
   const auto list = nlohmann::json::parse(as_json(keys_));
   ASSERT_EQ(list.size(), 1U);
   EXPECT_EQ(list[0]["key"], "n");

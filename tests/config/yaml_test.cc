@@ -16,8 +16,8 @@ using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::Pair;
 
-Section yaml(std::string_view text) {
-  return Section::parse(text, "test.yaml");
+YamlSection yaml(std::string_view text) {
+  return YamlSection::parse(text, "test.yaml");
 }
 
 std::string message_of(const std::function<void()>& action) {
@@ -75,7 +75,7 @@ TEST(Yaml, lists_the_known_keys_when_none_is_near) {
 }
 
 TEST(Yaml, names_all_unknown_keys_of_a_section_at_once) {
-  auto top = Section::parse("name: a\nnam: b\nzone: c\n", "test.yaml");
+  auto top = YamlSection::parse("name: a\nnam: b\nzone: c\n", "test.yaml");
   static_cast<void>(top.string_or("name", ""));
   EXPECT_EQ(message_of([&] { top.finish(); }),
             "test.yaml:2:1: nam: unknown key; did you mean \"name\"?\n"
@@ -84,12 +84,12 @@ TEST(Yaml, names_all_unknown_keys_of_a_section_at_once) {
 
 TEST(Yaml, names_a_tab_in_the_indentation_as_such) {
   EXPECT_EQ(
-      message_of([] { Section::parse("spouts:\n  in:\n\tbroker: a\n", "test.yaml"); }),
+      message_of([] { YamlSection::parse("spouts:\n  in:\n\tbroker: a\n", "test.yaml"); }),
       "test.yaml:3:1: a TAB stands in the indentation here; YAML is indented by spaces only: set the editor to write "
       "spaces for the key TAB");
-  EXPECT_THAT(message_of([] { Section::parse("spouts:\n  in: a\n  \tbroker: a\n", "test.yaml"); }),
+  EXPECT_THAT(message_of([] { YamlSection::parse("spouts:\n  in: a\n  \tbroker: a\n", "test.yaml"); }),
               HasSubstr("test.yaml:3:3: a TAB stands"));
-  EXPECT_EQ(message_of([] { Section::parse("a: b\tc\n", "test.yaml"); }), "no error");
+  EXPECT_EQ(message_of([] { YamlSection::parse("a: b\tc\n", "test.yaml"); }), "no error");
 }
 
 TEST(Yaml, refuses_values_of_the_wrong_type_with_their_place) {
@@ -141,7 +141,7 @@ list: [[a], b, [c]]
 inner: {port: 0, colour: red}
 nested: {a: x}
 )";
-  const auto read = [](Section& top) {
+  const auto read = [](YamlSection& top) {
     EXPECT_EQ(top.int_or("count", 7, 0, 9), 7);
     EXPECT_EQ(top.duration_or("wait", 2s), 2s);
     EXPECT_THAT(top.require_strings("list"), ElementsAre("b"));
@@ -153,7 +153,7 @@ nested: {a: x}
     auto missing = top.require_section("missing");
     EXPECT_EQ(missing.require_string("of_no_interest"), "");
   };
-  EXPECT_EQ(message_of([&] { Section::read_text(text, "t.yaml", read); }),
+  EXPECT_EQ(message_of([&] { YamlSection::read_text(text, "t.yaml", read); }),
             "t.yaml:1:1: count: \"many\" does not fit; a whole number from 0 to 9 is expected\n"
             "t.yaml:1:1: the key \"missing\" is missing; add \"missing:\" and what belongs below it\n"
             "t.yaml:2:1: count: this key stands here twice; remove one of them\n"
@@ -166,18 +166,20 @@ nested: {a: x}
 }
 
 TEST(Yaml, tells_what_a_reader_throws_unless_it_comes_from_a_stand_in) {
-  const auto read = [](Section& top) {
+  const auto read = [](YamlSection& top) {
     top.require_string("name");
     throw std::runtime_error("the empty name");
   };
-  EXPECT_THROW(Section::read_text("name: x", "t.yaml", read), std::runtime_error);
-  EXPECT_THAT(message_of([&] { Section::read_text("other: x", "t.yaml", read); }), HasSubstr("\"name\" is missing"));
+  EXPECT_THROW(YamlSection::read_text("name: x", "t.yaml", read), std::runtime_error);
+  EXPECT_THAT(message_of([&] { YamlSection::read_text("other: x", "t.yaml", read); }),
+              HasSubstr("\"name\" is missing"));
 }
 
 TEST(Yaml, tells_the_first_hundred_errors_of_a_text) {
   std::string text;
   for (int i = 0; i < 1000; ++i) text += "k" + std::to_string(i) + ": 1\n";
-  const std::string told = message_of([&] { Section::read_text(text, "t.yaml", [](Section& top) { top.finish(); }); });
+  const std::string told =
+      message_of([&] { YamlSection::read_text(text, "t.yaml", [](YamlSection& top) { top.finish(); }); });
   EXPECT_EQ(std::count(told.begin(), told.end(), '\n'), 99);
 }
 
@@ -190,7 +192,7 @@ TEST(Yaml, refuses_what_is_not_yaml_or_not_a_mapping) {
   EXPECT_THAT(message_of([] { yaml("a: [1"); }), HasSubstr("this is not YAML"));
   EXPECT_THAT(message_of([] { yaml("just text"); }), HasSubstr("a mapping is expected at the top"));
   EXPECT_THAT(message_of([] { yaml(""); }), HasSubstr("a mapping is expected at the top"));
-  EXPECT_THAT(message_of([] { Section::load_file("/nonexistent/x.yaml"); }), HasSubstr("cannot be read"));
+  EXPECT_THAT(message_of([] { YamlSection::load_file("/nonexistent/x.yaml"); }), HasSubstr("cannot be read"));
 }
 
 TEST(Yaml, refuses_a_second_document_instead_of_ignoring_it) {
@@ -228,7 +230,7 @@ TEST(Yaml, reads_texts_and_mappings_of_one_sequence) {
 }
 
 TEST(Yaml, finds_a_key_of_a_mapping_below_by_its_path) {
-  const auto section = Section::parse("user: u\ntls:\n  ca: x\n  key: y\ntls.key: z\n", "t.yaml");
+  const auto section = YamlSection::parse("user: u\ntls:\n  ca: x\n  key: y\ntls.key: z\n", "t.yaml");
   EXPECT_EQ(section.where("tls.ca").line, 3);
   EXPECT_EQ(section.where("tls.key").line, 5) << "the key that is written so";
   for (const char* missing : {"tls.none", "user.none", "none.ca", ""}) EXPECT_EQ(section.where(missing).line, 1);
@@ -236,8 +238,8 @@ TEST(Yaml, finds_a_key_of_a_mapping_below_by_its_path) {
 
 TEST(Yaml, finds_a_character_of_a_value_in_the_file_however_it_is_written) {
   const auto place = [](const std::string& text) {
-    const auto section = Section::parse(text, "t.yaml");
-    const std::string value = Section(section).require_string("where");
+    const auto section = YamlSection::parse(text, "t.yaml");
+    const std::string value = YamlSection(section).require_string("where");
     const ConfigError error = section.error_within("where", value.find('%'), "here");
     return std::to_string(error.where().line) + ":" + std::to_string(error.where().column);
   };

@@ -18,7 +18,7 @@ using testing::StartsWith;
 
 std::string refusal_of(std::string_view text) {
   try {
-    Section::parse(text, "t.yaml");
+    YamlSection::parse(text, "t.yaml");
   } catch (const ConfigError& e) {
     return e.what();
   }
@@ -26,14 +26,14 @@ std::string refusal_of(std::string_view text) {
 }
 
 std::string value_of(std::string_view text) {
-  return Section::parse(text, "t.yaml").require_string("a");
+  return YamlSection::parse(text, "t.yaml").require_string("a");
 }
 
 TEST(YamlText, reads_the_text_behind_a_byte_order_mark_with_places_as_an_editor_shows_them) {
   EXPECT_EQ(value_of("\xEF\xBB\xBF"
                      "a: b"),
             "b");
-  const auto top = Section::parse(
+  const auto top = YamlSection::parse(
       "\xEF\xBB\xBF"
       "a: b%",
       "t.yaml");
@@ -115,7 +115,7 @@ TEST(YamlText, bounds_the_length_of_a_text_and_of_a_file) {
   EXPECT_EQ(refusal_of(comment), "t.yaml: this text is longer than 4 MiB; split it");
   EXPECT_EQ(value_of(comment.substr(0, 4 << 20)), "b");
   try {
-    Section::load_file("/dev/zero");
+    YamlSection::load_file("/dev/zero");
     ADD_FAILURE() << "accepted";
   } catch (const ConfigError& e) {
     EXPECT_THAT(e.what(), HasSubstr("/dev/zero: this text is longer than 4 MiB"));
@@ -127,7 +127,7 @@ TEST(YamlText, tells_an_empty_file_from_one_that_cannot_be_read) {
   std::ofstream(file).close();
   const auto refusal = [](const std::string& path) -> std::string {
     try {
-      Section::load_file(path);
+      YamlSection::load_file(path);
     } catch (const ConfigError& e) {
       return e.what();
     }

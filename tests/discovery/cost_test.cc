@@ -75,7 +75,7 @@ class Cost : public testing::Test {
     DriverDirectory::Callbacks callbacks;
     callbacks.on_channel = [this](const ChannelRecord& record) { told_.add("+" + record.instance); };
     callbacks.on_channel_gone = [this](const ChannelRecord& record) { told_.add("-" + record.instance); };
-    callbacks.on_verdict = [this](const InstanceId& instance, std::optional<bool>) { judged_.add(instance); };
+    callbacks.on_choice = [this](const InstanceId& instance, std::optional<bool>) { judged_.add(instance); };
     return std::make_unique<DriverDirectory>(*registry_, paths_, "turtle"_driver, "kinect", std::move(callbacks),
                                              Selection::parse(where));
   }

@@ -238,7 +238,7 @@ TEST_F(Directory, ReportsOfTheInstancesThatAreChosenAsTheyChange) {
   DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const ChannelRecord& record) { seen_.add("+" + record.instance); };
   callbacks.on_channel_gone = [this](const ChannelRecord& record) { seen_.add("-" + record.instance); };
-  callbacks.on_verdict = [this](const InstanceId& instance, std::optional<bool> chosen) {
+  callbacks.on_choice = [this](const InstanceId& instance, std::optional<bool> chosen) {
     seen_.add(instance + (!chosen ? " gone" : *chosen ? " yes" : " no"));
   };
   put_channel("1", "kinect");

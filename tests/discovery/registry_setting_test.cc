@@ -12,7 +12,7 @@ using testing::AllOf;
 using testing::HasSubstr;
 
 RegistryOptions read(const std::string& text) {
-  auto top = config::Section::parse(text, "r.yaml");
+  auto top = config::YamlSection::parse(text, "r.yaml");
   auto options = read_registry_options(top);
   top.finish();
   return options;

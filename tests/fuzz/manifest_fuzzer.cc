@@ -14,9 +14,9 @@ namespace cli = master::cli;
 namespace {
 
 /// The fleet after carrying out a plan that only deploys.
-cli::Fleet carried_out(const cli::Manifest& manifest, const cli::Plan& plan, cli::Fleet fleet) {
+cli::Fleet carried_out(const cli::Manifest& manifest, const cli::FleetPlan& plan, cli::Fleet fleet) {
   for (const auto& step : plan.steps) {
-    fuzz::must(step.kind == cli::StepKind::deploy, "in an empty fleet there is nothing else to do");
+    fuzz::must(step.kind == cli::FleetStepKind::deploy, "in an empty fleet there is nothing else to do");
     const auto& wanted = manifest.deployments.at(step.deployment);
     auto& instance = fleet.instances.emplace_back();
     static_cast<discovery::Deployment&>(instance) = wanted;
@@ -34,7 +34,7 @@ cli::Fleet carried_out(const cli::Manifest& manifest, const cli::Plan& plan, cli
 IOTCLOUD_FUZZ_TARGET(manifest, 10'000) {
   cli::Manifest manifest;
   try {
-    manifest = cli::read_manifest(config::Section::parse(fuzz::text(data, size), "fleet.yaml"));
+    manifest = cli::read_manifest(config::YamlSection::parse(fuzz::text(data, size), "fleet.yaml"));
   } catch (const config::ConfigError& error) {
     fuzz::must(std::string(error.what()).starts_with("fleet.yaml"), "an error names the file");
     return;

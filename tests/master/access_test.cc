@@ -421,8 +421,10 @@ class LimitedAccess : public Access {
     }
   }
   const std::string other_ = security::add_token(tokens_file_, "vito", Role::viewer);
-  const rpc::CallLimits::Options few_{
-      .at_once = 16, .per_second = 0.001, .saved = std::chrono::seconds{3'000}, .longest_wait = std::chrono::milliseconds{0}};
+  const rpc::CallLimits::Options few_{.at_once = 16,
+                                      .per_second = 0.001,
+                                      .saved = std::chrono::seconds{3'000},
+                                      .longest_wait = std::chrono::milliseconds{0}};
 };
 
 TEST_F(LimitedAccess, AViewerWhoCallsTooOftenIsRefusedOnAllConnectionsAndOthersAreAnswered) {

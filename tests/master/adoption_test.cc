@@ -75,7 +75,7 @@ TEST_F(MasterAdopt, WhatIsNotFrozenIsLeftAloneAndWhatIsNotThereIsRefused) {
   const auto result = adopt(R"("lab1")");
   EXPECT_TRUE(result.all_done());
   EXPECT_THAT(result.outcomes.at(0).reason, HasSubstr("not frozen"));
-  EXPECT_EQ(adopt(R"("nowhere")").refusal, Refusal::unknown_gateway);
+  EXPECT_EQ(adopt(R"("nowhere")").refusal, OrderRefusal::unknown_gateway);
 }
 
 TEST_F(MasterAdopt, OrdersForAFrozenGatewayArePendingAlsoThoseOfWhatItRuns) {

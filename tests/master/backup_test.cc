@@ -173,7 +173,7 @@ TEST_F(MasterBackup, WhatCannotBeReadIsRefusedAndNothingIsWritten) {
   order.instance = "a"_instance;
   backup.gateways = {{"lab1"_gateway, false, {order}}, {"../masters"_gateway, true, {order}}};
   auto refused = import(backup);
-  EXPECT_EQ(refused.refusal, Refusal::bad_request);
+  EXPECT_EQ(refused.refusal, OrderRefusal::bad_request);
   EXPECT_THAT(refused.text, HasSubstr("\"../masters\" cannot be the id of a gateway"));
   backup.gateways.pop_back();
   backup.format = 2;

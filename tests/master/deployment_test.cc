@@ -108,14 +108,14 @@ TEST_F(MasterDeployments, NamesThatCannotBeAreRefused) {
   FakeGateway gateway(url, "lab1");
   auto request = meter();
   request.name = "a/b";
-  EXPECT_EQ(master->deploy(request).refusal, Refusal::bad_request);
+  EXPECT_EQ(master->deploy(request).refusal, OrderRefusal::bad_request);
   request = meter();
   request.indexes = {0};
-  EXPECT_EQ(master->deploy(request).refusal, Refusal::bad_request);
+  EXPECT_EQ(master->deploy(request).refusal, OrderRefusal::bad_request);
   request = meter();
   request.name = "";
   request.manager = "lab";
-  EXPECT_EQ(master->deploy(request).refusal, Refusal::bad_request);
+  EXPECT_EQ(master->deploy(request).refusal, OrderRefusal::bad_request);
   EXPECT_EQ(gateway.orders_seen(), 0);
 }
 
@@ -151,7 +151,7 @@ TEST_F(MasterDeployments, WhatDoesNotDifferIsDoneAtOnce) {
   const auto ids = instances(master->deploy(meter()));
   gateway.behave(FakeGateway::say_nothing());
   EXPECT_TRUE(master->change_deployment({ids, Texts{}, "lab", {}}).all_done());
-  EXPECT_EQ(master->change_deployment({ids, {}, {}, {}}).refusal, Refusal::bad_request);
+  EXPECT_EQ(master->change_deployment({ids, {}, {}, {}}).refusal, OrderRefusal::bad_request);
 }
 
 }  // namespace

@@ -65,7 +65,7 @@ TEST_F(MasterDrain, ADeploymentToAllPassesItByAndOneThatNamesItIsRefused) {
   EXPECT_EQ(all.outcomes[0].gateway, "lab2");
   request.gateways = {"lab2"_gateway, "lab1"_gateway};
   const auto named = master->deploy(request);
-  EXPECT_EQ(named.refusal, Refusal::bad_request);
+  EXPECT_EQ(named.refusal, OrderRefusal::bad_request);
   EXPECT_THAT(named.text, HasSubstr("iotcloud undrain lab1"));
   EXPECT_THAT(first.orders(), IsEmpty());
   EXPECT_THAT(second.orders(), SizeIs(1));
@@ -149,8 +149,8 @@ TEST_F(MasterDrain, ALostGatewayDrainsWhenItComesBack) {
 
 TEST_F(MasterDrain, WantsGatewaysThatThereAre) {
   FakeGateway gateway(url, "lab1");
-  EXPECT_EQ(master->drain({{"lab7"_gateway}, {}}).refusal, Refusal::unknown_gateway);
-  EXPECT_EQ(master->drain({}).refusal, Refusal::bad_request);
+  EXPECT_EQ(master->drain({{"lab7"_gateway}, {}}).refusal, OrderRefusal::unknown_gateway);
+  EXPECT_EQ(master->drain({}).refusal, OrderRefusal::bad_request);
   EXPECT_FALSE(master->gateways().at(0).draining);
 }
 

@@ -82,8 +82,8 @@ TEST_F(MasterForget, AGatewayThatIsAliveIsNotForgotten) {
 }
 
 TEST_F(MasterForget, WhatIsNotThereIsRefused) {
-  EXPECT_EQ(forget(R"("nowhere")").refusal, Refusal::unknown_gateway);
-  EXPECT_EQ(forget("").refusal, Refusal::bad_request);
+  EXPECT_EQ(forget(R"("nowhere")").refusal, OrderRefusal::unknown_gateway);
+  EXPECT_EQ(forget("").refusal, OrderRefusal::bad_request);
 }
 
 }  // namespace

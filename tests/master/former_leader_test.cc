@@ -113,7 +113,7 @@ TEST_F(FormerLeader, DeploysNothing) {
 TEST_F(FormerLeader, DrainsNothing) {
   hold_up();
   const auto result = first.drain({{"lab1"_gateway}, {}});
-  EXPECT_EQ(result.refusal, Refusal::not_leading);
+  EXPECT_EQ(result.refusal, OrderRefusal::not_leading);
   EXPECT_EQ(result.leader, "127.0.0.1:2222");
   EXPECT_FALSE(second.gateways().at(0).draining);
 }
@@ -127,7 +127,7 @@ TEST_F(FormerLeader, OrdersNoTopology) {
   request.topology = "t"_topology;
   request.change = TopologyChange::deactivate;
   const auto result = first.order(request);
-  EXPECT_EQ(result.refusal, Refusal::not_leading);
+  EXPECT_EQ(result.refusal, OrderRefusal::not_leading);
   EXPECT_EQ(result.leader, "127.0.0.1:2222");
   EXPECT_FALSE(second.topologies().at(0).order);
 }

@@ -40,7 +40,7 @@ TEST_F(Masters, OneLeadsAndTheOtherAnswersReadsAndRefusesOrdersNamingTheLeader) 
   EXPECT_FALSE(second->status().leading);
 
   const auto refused = second->deploy(turtle_anywhere());
-  EXPECT_EQ(refused.refusal, Refusal::not_leading);
+  EXPECT_EQ(refused.refusal, OrderRefusal::not_leading);
   EXPECT_EQ(refused.leader, "127.0.0.1:1111");
   EXPECT_THAT(refused.text, HasSubstr("127.0.0.1:1111"));
   EXPECT_EQ(gateway.orders_seen(), 0);

@@ -77,9 +77,9 @@ TEST_F(MasterMetadata, WaitsForAGatewayThatIsLost) {
 TEST_F(MasterMetadata, RefusesNothingAndKeysThatAreNone) {
   FakeGateway gateway(url, "lab1");
   const auto id = deploy("lab1");
-  EXPECT_EQ(master->update_metadata(only(id), {}).refusal, Refusal::bad_request);
-  EXPECT_EQ(master->update_metadata(only(id), {{"", "1"}}).refusal, Refusal::bad_request);
-  EXPECT_EQ(master->update_metadata(only("nobody"), {{"a", "1"}}).refusal, Refusal::unknown_instance);
+  EXPECT_EQ(master->update_metadata(only(id), {}).refusal, OrderRefusal::bad_request);
+  EXPECT_EQ(master->update_metadata(only(id), {{"", "1"}}).refusal, OrderRefusal::bad_request);
+  EXPECT_EQ(master->update_metadata(only("nobody"), {{"a", "1"}}).refusal, OrderRefusal::unknown_instance);
   const auto huge = master->update_metadata(only(id), {{"a", std::string(600'000, 'x')}});
   ASSERT_THAT(huge.outcomes, SizeIs(1));
   EXPECT_EQ(huge.outcomes[0].outcome, OrderOutcome::failed);

@@ -178,7 +178,7 @@ TEST_F(MasterOrders, AnUnknownGatewayIsRefusedWithTheKnownOnesAndNothingIsOrdere
   FakeGateway one(url, "lab1");
   FakeGateway two(url, "lab2");
   const auto result = master->deploy(turtle({"lab1", "lab3"}));
-  EXPECT_EQ(result.refusal, Refusal::unknown_gateway);
+  EXPECT_EQ(result.refusal, OrderRefusal::unknown_gateway);
   EXPECT_THAT(result.text, AllOf(HasSubstr("lab3"), HasSubstr("lab1, lab2")));
   EXPECT_THAT(result.outcomes, SizeIs(0));
   EXPECT_EQ(one.orders_seen(), 0);
@@ -186,7 +186,7 @@ TEST_F(MasterOrders, AnUnknownGatewayIsRefusedWithTheKnownOnesAndNothingIsOrdere
 
 TEST_F(MasterOrders, WithoutAnyGatewayTheRefusalSaysHowToGetOne) {
   const auto result = master->deploy(turtle());
-  EXPECT_EQ(result.refusal, Refusal::unknown_gateway);
+  EXPECT_EQ(result.refusal, OrderRefusal::unknown_gateway);
   EXPECT_THAT(result.text, HasSubstr("iotcloud-gateway"));
 }
 
@@ -195,18 +195,18 @@ TEST_F(MasterOrders, RequestsThatCannotBeAreRefused) {
   for (const std::string plugin : {"", "../turtle.so", "a/b.so", ".."}) {
     auto request = turtle({"lab1"});
     request.plugin = plugin;
-    EXPECT_EQ(master->deploy(request).refusal, Refusal::bad_request) << plugin;
+    EXPECT_EQ(master->deploy(request).refusal, OrderRefusal::bad_request) << plugin;
   }
   auto request = turtle({"lab1"});
   request.driver = "a/b"_driver;
-  EXPECT_EQ(master->deploy(request).refusal, Refusal::bad_request);
+  EXPECT_EQ(master->deploy(request).refusal, OrderRefusal::bad_request);
   request = turtle({"lab1"});
   request.count = 0;
-  EXPECT_EQ(master->deploy(request).refusal, Refusal::bad_request);
+  EXPECT_EQ(master->deploy(request).refusal, OrderRefusal::bad_request);
   request = turtle({"lab1"});
   request.properties["map"] = std::string(600'000, 'x');
   EXPECT_THAT(master->deploy(request).text, HasSubstr("600"));
-  EXPECT_EQ(master->stop({}).refusal, Refusal::bad_request);
+  EXPECT_EQ(master->stop({}).refusal, OrderRefusal::bad_request);
   EXPECT_EQ(gateway.orders_seen(), 0);
 }
 
@@ -241,7 +241,7 @@ TEST_F(MasterOrders, AnUnknownInstanceIsRefusedAndNoneIsChanged) {
   FakeGateway gateway(url, "lab1");
   const auto id = master->deploy(turtle({"lab1"})).outcomes.at(0).instance;
   const auto result = master->undeploy({{id, "nosuch"_instance}, {}, {}});
-  EXPECT_EQ(result.refusal, Refusal::unknown_instance);
+  EXPECT_EQ(result.refusal, OrderRefusal::unknown_instance);
   EXPECT_THAT(result.text, HasSubstr("nosuch"));
   EXPECT_THAT(master->drivers(), SizeIs(1));
 }
@@ -251,7 +251,7 @@ TEST_F(MasterOrders, AnInstanceOnAnotherGatewayThanTheNamedOnesIsRefused) {
   FakeGateway two(url, "lab2");
   const auto id = master->deploy(turtle({"lab1"})).outcomes.at(0).instance;
   const auto result = master->stop({{id}, {"lab2"_gateway}, {}});
-  EXPECT_EQ(result.refusal, Refusal::unknown_instance);
+  EXPECT_EQ(result.refusal, OrderRefusal::unknown_instance);
   EXPECT_THAT(result.text, HasSubstr("on gateway lab1, not on lab2"));
   EXPECT_TRUE(master->stop({{id}, {"lab1"_gateway}, {}}).all_done());
 }

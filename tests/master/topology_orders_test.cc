@@ -140,11 +140,11 @@ TEST_F(TopologyOrders, TellWhichWorkerFailedAndWhichIsSilent) {
 }
 
 TEST_F(TopologyOrders, AreRefusedWithWhatIsPossible) {
-  EXPECT_EQ(give(TopologyChange::activate).refusal, Refusal::unknown_topology);
+  EXPECT_EQ(give(TopologyChange::activate).refusal, OrderRefusal::unknown_topology);
   FakeWorker one(url, "w1");
   const auto wrong = [&](std::map<std::string, int> parallelism) {
     const auto result = give(TopologyChange::rebalance, std::move(parallelism));
-    EXPECT_EQ(result.refusal, Refusal::bad_request);
+    EXPECT_EQ(result.refusal, OrderRefusal::bad_request);
     return result.text;
   };
   EXPECT_THAT(wrong({{"wrok", 1}}), AllOf(HasSubstr("\"wrok\""), HasSubstr("in (1 to 1), work (1 to 4)")));
@@ -238,7 +238,7 @@ TEST_F(TopologyOrders, AreRefusedByAMasterOnStandby) {
   ASSERT_TRUE(eventually([&] { return !second->status().registry_away; }));
   TopologyRequest request;
   request.topology = "t"_topology;
-  EXPECT_EQ(second->order(request).refusal, Refusal::not_leading);
+  EXPECT_EQ(second->order(request).refusal, OrderRefusal::not_leading);
 }
 
 }  // namespace

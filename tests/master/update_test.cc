@@ -99,7 +99,7 @@ TEST_F(Update, OtherPropertiesComeToThoseThatAreNamedAndTheOthersKeepTheirs) {
   EXPECT_EQ(order(lab1, ids[0]).properties.at("rate"), "5");
   request = {};
   request.selection.instances = ids;
-  EXPECT_EQ(master->update(request).refusal, Refusal::bad_request) << "it gives neither plugin nor properties";
+  EXPECT_EQ(master->update(request).refusal, OrderRefusal::bad_request) << "it gives neither plugin nor properties";
 }
 
 TEST_F(Update, OtherPropertiesGoBackWhereAnInstanceDoesNotComeUpWithThem) {
@@ -188,7 +188,7 @@ TEST_F(Update, WhenOneFailsAllGoBackAndTheOutcomesSaySo) {
   const auto before = order(lab1, ids[0]);
   const auto untouched = lab3.orders_seen();
   const auto result = update(ids);
-  EXPECT_EQ(result.refusal, Refusal::none);
+  EXPECT_EQ(result.refusal, OrderRefusal::none);
   EXPECT_FALSE(result.all_done());
   ASSERT_THAT(result.outcomes, SizeIs(3));
   EXPECT_THAT(result.outcomes, Each(testing::Field(&InstanceOutcome::outcome, OrderOutcome::failed)));
@@ -331,7 +331,7 @@ TEST_F(Update, OneUpdateOfAnInstanceAtATime) {
   auto running = std::async(std::launch::async, [&] { return update(ids); });
   ASSERT_TRUE(test::eventually([&] { return lab1.orders().at(0).sha256 == v2; }));
   const auto second = update(ids);
-  EXPECT_EQ(second.refusal, Refusal::bad_request);
+  EXPECT_EQ(second.refusal, OrderRefusal::bad_request);
   EXPECT_THAT(second.text, HasSubstr("under way already"));
   lab1.report(ids[0], DriverState::active);
   EXPECT_TRUE(running.get().all_done());
@@ -340,9 +340,9 @@ TEST_F(Update, OneUpdateOfAnInstanceAtATime) {
 TEST_F(Update, WhatCannotBeIsRefused) {
   FakeGateway lab1(url, "lab1");
   const auto ids = deploy(1, {"lab1"});
-  EXPECT_EQ(update({"nobody"_instance}).refusal, Refusal::unknown_instance);
-  EXPECT_EQ(update({}).refusal, Refusal::bad_request);
-  EXPECT_EQ(update(ids, -1).refusal, Refusal::bad_request);
+  EXPECT_EQ(update({"nobody"_instance}).refusal, OrderRefusal::unknown_instance);
+  EXPECT_EQ(update({}).refusal, OrderRefusal::bad_request);
+  EXPECT_EQ(update(ids, -1).refusal, OrderRefusal::bad_request);
   EXPECT_THAT(update(ids, 0, {}, "../../etc/passwd").text, HasSubstr("64 hexadecimal digits"));
 }
 

@@ -430,7 +430,7 @@ TEST(HttpClient, TellsWhoDoesNotAnswerFromWhatCannotBeReadForAnotherReason) {
 TEST(PageSettings, AreReadWithFileLineAndRemedy) {
   const auto error_of = [](const std::string& text) -> std::string {
     try {
-      auto section = config::Section::parse(text, "d.yaml");
+      auto section = config::YamlSection::parse(text, "d.yaml");
       read_page_settings(section);
       return "";
     } catch (const config::ConfigError& e) {

@@ -12,7 +12,7 @@
 #include <thrift/transport/TBufferTransports.h>
 
 #include <iotcloud/config/metrics.h>
-#include <iotcloud/rpc/stream.h>
+#include <iotcloud/rpc/tcp_stream.h>
 #include <iotcloud/rpc/thrift_client.h>
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/tests/eventually.h>
@@ -90,18 +90,18 @@ inline std::uint64_t refusals(const std::string& service, const std::string& rea
 class RawClient {
  public:
   explicit RawClient(int port)
-      : stream_(Stream::connect("127.0.0.1", port, nullptr, Stream::Clock::now() + patience)) {}
+      : stream_(TcpStream::connect("127.0.0.1", port, nullptr, TcpStream::Clock::now() + patience)) {}
   void send(const std::string& bytes) {
-    stream_->write_all(bytes.data(), bytes.size(), Stream::Clock::now() + patience);
+    stream_->write_all(bytes.data(), bytes.size(), TcpStream::Clock::now() + patience);
   }
   /// Waits for one answer. \return whether it came before the connection was closed
   bool is_answered() {
     char byte = 0;
     try {
-      stream_->read_some(&byte, 1, Stream::Clock::now() + patience);
+      stream_->read_some(&byte, 1, TcpStream::Clock::now() + patience);
       return true;
-    } catch (const StreamError& e) {
-      if (e.kind() == StreamError::Kind::timed_out) throw;
+    } catch (const TcpStreamError& e) {
+      if (e.kind() == TcpStreamError::Kind::timed_out) throw;
       return false;
     }
   }
@@ -109,9 +109,9 @@ class RawClient {
   bool is_cut_off() {
     std::array<char, 4096> ignored{};
     try {
-      while (true) stream_->read_some(ignored.data(), ignored.size(), Stream::Clock::now() + patience);
-    } catch (const StreamError& e) {
-      return e.kind() != StreamError::Kind::timed_out;
+      while (true) stream_->read_some(ignored.data(), ignored.size(), TcpStream::Clock::now() + patience);
+    } catch (const TcpStreamError& e) {
+      return e.kind() != TcpStreamError::Kind::timed_out;
     }
   }
   /// Sends a byte every few milliseconds. \return whether the server closed the connection in the end
@@ -121,19 +121,19 @@ class RawClient {
         send("x");
         char byte = 0;
         try {
-          stream_->read_some(&byte, 1, Stream::Clock::now() + std::chrono::milliseconds(2));
-        } catch (const StreamError& e) {
-          if (e.kind() != StreamError::Kind::timed_out) return true;
+          stream_->read_some(&byte, 1, TcpStream::Clock::now() + std::chrono::milliseconds(2));
+        } catch (const TcpStreamError& e) {
+          if (e.kind() != TcpStreamError::Kind::timed_out) return true;
         }
       }
       return false;
-    } catch (const StreamError&) {
+    } catch (const TcpStreamError&) {
       return true;
     }
   }
 
  private:
-  std::unique_ptr<Stream> stream_;
+  std::unique_ptr<TcpStream> stream_;
 };
 
 inline ThriftClientOptions client_of(int port) {

@@ -10,7 +10,7 @@ namespace {
 
 /// Returns the factory of a class, or throws an error that lists the known classes.
 template <typename Factory>
-const Factory& find_class(const config::Section& section, const std::string& name, const Factory* found,
+const Factory& find_class(const config::YamlSection& section, const std::string& name, const Factory* found,
                           const std::vector<std::string>& known) {
   if (found != nullptr) return *found;
   std::string list;
@@ -24,10 +24,10 @@ const Factory& find_class(const config::Section& section, const std::string& nam
 
 /// Turns an error of the graph into one that names the place of the file where it can be mended.
 config::ConfigError at_its_place(const TopologyDefinition& definition, const TopologyError& error) {
-  config::Section root = definition.root;
+  config::YamlSection root = definition.root;
   for (const char* group : {"spouts", "bolts"}) {
     if (!root.has(group)) continue;
-    const config::Section section = root.require_section(group);
+    const config::YamlSection section = root.require_section(group);
     if (section.has(error.component())) return section.error(error.component(), error.what());
   }
   const bool application = !error.component().empty() && definition.root.has("topology.library");
@@ -134,7 +134,7 @@ void refuse_troubled_components(const TopologyDefinition& definition, const Topo
       if (component == group.end()) return false;
       const bool own = component->conf.contains(trouble.conf_key);
       if (!own && !definition.conf.contains(trouble.conf_key)) return false;
-      config::Section owner = own ? component->section : definition.root;
+      config::YamlSection owner = own ? component->section : definition.root;
       owner.require_section("conf").refuse(trouble.conf_key, trouble.text);
       return true;
     };
@@ -222,7 +222,7 @@ void check_holds(const TopologyDefinition& definition, const Topology& topology)
 Topology assemble(const TopologyDefinition& definition, const ComponentRegistry& components,
                   const EndpointFactories& endpoints) {
   Topology topology;
-  const config::Section& root = definition.root;
+  const config::YamlSection& root = definition.root;
   // Runs a step of which another one does not depend, and notes its error.
   const auto step = [&](const auto& make) {
     root.part([&] {

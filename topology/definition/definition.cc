@@ -14,7 +14,7 @@ namespace iotcloud::topology {
 
 namespace {
 
-using config::Section;
+using config::YamlSection;
 using internal::read_endpoint;
 using internal::read_reading_options;
 using internal::read_sending_options;
@@ -23,7 +23,8 @@ using internal::require_name;
 constexpr int most_tasks = 10'000;
 
 /// Reads the keys that spouts and bolts share.
-ComponentDefinition read_component(const std::string& id, Section section, const std::vector<std::string>& brokers) {
+ComponentDefinition read_component(const std::string& id, YamlSection section,
+                                   const std::vector<std::string>& brokers) {
   ComponentDefinition component{.id = id,
                                 .endpoint = {},
                                 .class_name = {},
@@ -62,7 +63,7 @@ ComponentDefinition read_component(const std::string& id, Section section, const
   return component;
 }
 
-ComponentDefinition read_spout(const std::string& id, Section section, const std::vector<std::string>& brokers) {
+ComponentDefinition read_spout(const std::string& id, YamlSection section, const std::vector<std::string>& brokers) {
   auto spout = read_component(id, section, brokers);
   if (spout.endpoint) {
     read_reading_options(section, spout.endpoint->reading);
@@ -79,7 +80,7 @@ ComponentDefinition read_spout(const std::string& id, Section section, const std
   return spout;
 }
 
-void read_grouping(Section& section, InputDefinition& input) {
+void read_grouping(YamlSection& section, InputDefinition& input) {
   auto names = grouping_names();
   names.emplace_back("custom");
   input.grouping = section.choice_or("grouping", "shuffle", names);
@@ -105,7 +106,7 @@ void read_grouping(Section& section, InputDefinition& input) {
   }
 }
 
-InputDefinition read_input(Section section) {
+InputDefinition read_input(YamlSection section) {
   InputDefinition input{.from = section.require_string("from"),
                         .stream = section.string_or("stream", default_stream),
                         .grouping = {},
@@ -126,7 +127,7 @@ InputDefinition read_input(Section section) {
 }
 
 /// \pre the bolt's inputs are read.
-void read_deadline(Section& section, ComponentDefinition& bolt) {
+void read_deadline(YamlSection& section, ComponentDefinition& bolt) {
   bolt.deadline = section.duration_or("deadline", bolt.deadline);
   bolt.late_stream = section.string_or("late_stream", "");
   if (bolt.late_stream.empty()) return;
@@ -141,7 +142,7 @@ void read_deadline(Section& section, ComponentDefinition& bolt) {
   }
 }
 
-ComponentDefinition read_bolt(const std::string& id, Section section, const std::vector<std::string>& brokers) {
+ComponentDefinition read_bolt(const std::string& id, YamlSection section, const std::vector<std::string>& brokers) {
   auto bolt = read_component(id, section, brokers);
   if (bolt.endpoint) {
     read_sending_options(section, bolt.endpoint->sending);
@@ -169,7 +170,7 @@ ComponentDefinition read_bolt(const std::string& id, Section section, const std:
 }
 
 /// Makes a registry URL from zk.servers; the key `registry` overrides it.
-std::string read_registry_url(Section& root) {
+std::string read_registry_url(YamlSection& root) {
   const auto servers = root.strings_or("zk.servers", {});
   auto registry = root.string_or("registry", "");
   if (!registry.empty() || servers.empty()) return registry;
@@ -184,7 +185,7 @@ std::string read_registry_url(Section& root) {
   return url;
 }
 
-RunSettings read_runtime(Section& root) {
+RunSettings read_runtime(YamlSection& root) {
   RunSettings settings;
   auto section = root.optional_section("runtime");
   if (!section) return settings;
@@ -202,7 +203,7 @@ RunSettings read_runtime(Section& root) {
 
 /// Refuses credentials without URLs: they would go to any address that a channel's record names, without TLS if the
 /// record says so.
-void refuse_aimless_credentials(const Section& broker, const brokers::BrokerOptions& options) {
+void refuse_aimless_credentials(const YamlSection& broker, const brokers::BrokerOptions& options) {
   if (!options.urls.empty() || !brokers::are_credentials_given(options)) return;
   broker.refuse("urls",
                 "user, password and TLS are given here, but no address: they would go to whatever address a "
@@ -212,14 +213,15 @@ void refuse_aimless_credentials(const Section& broker, const brokers::BrokerOpti
 
 /// Brokers by logical name: a URL, or a mapping of connection options. Without credentials both may leave the URL to
 /// the channels' records.
-std::map<std::string, brokers::BrokerOptions> read_brokers(Section& root, std::chrono::milliseconds session_timeout) {
+std::map<std::string, brokers::BrokerOptions> read_brokers(YamlSection& root,
+                                                           std::chrono::milliseconds session_timeout) {
   std::map<std::string, brokers::BrokerOptions> brokers;
   auto section = root.optional_section("brokers");
   if (!section) return brokers;
   for (const std::string& name : section->names()) {
     auto& options = brokers[name];
     if (section->is_mapping(name)) {
-      Section broker = section->require_section(name);
+      YamlSection broker = section->require_section(name);
       options = brokers::read_broker_options(broker, session_timeout);
       broker.finish();
       refuse_aimless_credentials(broker, options);
@@ -260,7 +262,7 @@ void refuse_double_readers(const std::vector<ComponentDefinition>& spouts) {
 
 }  // namespace
 
-TopologyDefinition TopologyDefinition::read(Section& root, const std::string& file) {
+TopologyDefinition TopologyDefinition::read(YamlSection& root, const std::string& file) {
   TopologyDefinition definition{.file = file,
                                 .name = {},
                                 .registry = {},
@@ -313,13 +315,13 @@ const std::vector<std::string>& built_in_builders() {
 
 TopologyDefinition TopologyDefinition::load(const std::string& file) {
   std::optional<TopologyDefinition> definition;
-  Section::read_file(file, [&](Section& top) { definition = read(top, file); });
+  YamlSection::read_file(file, [&](YamlSection& top) { definition = read(top, file); });
   return *std::move(definition);
 }
 
 TopologyDefinition TopologyDefinition::parse(std::string_view text, const std::string& name) {
   std::optional<TopologyDefinition> definition;
-  Section::read_text(text, name, [&](Section& top) { definition = read(top, name); });
+  YamlSection::read_text(text, name, [&](YamlSection& top) { definition = read(top, name); });
   return *std::move(definition);
 }
 

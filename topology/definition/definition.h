@@ -93,7 +93,7 @@ struct InputDefinition {
   std::chrono::microseconds deadline{0};  ///< InputSpec::deadline
   std::size_t keep_last = 0;              ///< InputSpec::keep_last
   Fields keep_key;                        ///< InputSpec::keep_key
-  config::Section section;                ///< the input's place in the file
+  config::YamlSection section;            ///< the input's place in the file
 };
 
 /// One entry of `spouts` or `bolts`: either an endpoint or a class of a component library.
@@ -110,7 +110,7 @@ struct ComponentDefinition {
   std::string late_stream;                       ///< bolts: ComponentSpec::late_stream
   bool worker_scope = false;                     ///< bolts: `scope: worker`, each worker processes its own tuples only
   std::vector<InputDefinition> inputs;           ///< bolts
-  config::Section section;                       ///< the component's place in the file
+  config::YamlSection section;                   ///< the component's place in the file
 };
 
 /// Settings of the run (`runtime`).
@@ -134,9 +134,9 @@ struct TopologyDefinition {
   static TopologyDefinition load(const std::string& file);
   /// \param name stands for the file in messages.
   static TopologyDefinition parse(std::string_view text, const std::string& name);
-  /// Reads a file's sections in Section::all_errors(), so that what is checked afterwards adds to its errors. When
+  /// Reads a file's sections in YamlSection::all_errors(), so that what is checked afterwards adds to its errors. When
   /// there are errors, parts of what is returned are stand-ins.
-  static TopologyDefinition read(config::Section& root, const std::string& file);
+  static TopologyDefinition read(config::YamlSection& root, const std::string& file);
 
   std::string file;
   discovery::TopologyName name;
@@ -151,7 +151,7 @@ struct TopologyDefinition {
   rpc::PageSettings pages;  ///< of the worker; without an address it takes a free port of loopback
   std::vector<ComponentDefinition> spouts;
   std::vector<ComponentDefinition> bolts;
-  config::Section root;
+  config::YamlSection root;
 };
 
 }  // namespace iotcloud::topology

@@ -8,12 +8,12 @@
 
 namespace iotcloud::topology::internal {
 
-using config::Section;
+using config::YamlSection;
 
 namespace {
 
 /// Reads `driver`, or the original system's `sensor`.
-std::string require_driver(Section& section) {
+std::string require_driver(YamlSection& section) {
   if (!section.has("driver") && section.has("sensor")) {
     static_cast<void>(section.optional_string("driver"));
     return require_name(section, "sensor");
@@ -35,7 +35,7 @@ FieldRole role_of(const std::string& name) {
 }
 
 /// Refuses names under which messages carry other metadata (docs/wire.md#message-metadata).
-void check_property(const Section& mapping, const std::string& property) {
+void check_property(const YamlSection& mapping, const std::string& property) {
   if (brokers::metadata::is_original(property)) {
     mapping.refuse("property", "\"" + property + "\" is no custom property but metadata of every message",
                    "use the field driverID, gatewayID or time");
@@ -52,9 +52,9 @@ struct Field {
   std::string property;
 };
 
-Field read_field(Section::Item& item) {
+Field read_field(YamlSection::Item& item) {
   if (!item.mapping) return {item.text, role_of(item.text), ""};
-  Section& mapping = *item.mapping;
+  YamlSection& mapping = *item.mapping;
   const std::string property = mapping.require_string("property");
   check_property(mapping, property);
   std::string name = mapping.string_or("as", property);
@@ -69,7 +69,7 @@ constexpr const char* field_words =
     "driverID, time, gatewayID, channel, redelivered and {property: NAME} are metadata, any other name is the payload: "
     "[payload, driverID, time]";
 
-void read_fields(Section& section, EndpointDefinition& endpoint) {
+void read_fields(YamlSection& section, EndpointDefinition& endpoint) {
   std::vector<std::string> names;
   std::set<FieldRole> roles;
   for (auto& item : section.require_items("fields")) {
@@ -94,7 +94,7 @@ void read_fields(Section& section, EndpointDefinition& endpoint) {
 }
 
 /// Reads the expression that selects driver instances.
-discovery::Selection read_where(Section& section) {
+discovery::Selection read_where(YamlSection& section) {
   const auto text = section.optional_string("where");
   if (!text) return {};
   try {
@@ -107,7 +107,7 @@ discovery::Selection read_where(Section& section) {
 
 }  // namespace
 
-std::string require_name(Section& section, const std::string& key) {
+std::string require_name(YamlSection& section, const std::string& key) {
   std::string name = section.require_string(key);
   const bool control = std::any_of(name.begin(), name.end(), [](unsigned char c) { return c < 0x20 || c == 0x7f; });
   if (control || name == "." || name == ".." || name.find('/') != std::string::npos || name.size() > 200) {
@@ -117,7 +117,7 @@ std::string require_name(Section& section, const std::string& key) {
   return name;
 }
 
-void read_reading_options(Section& section, ReadingOptions& options) {
+void read_reading_options(YamlSection& section, ReadingOptions& options) {
   auto properties = section.optional_section("properties");
   if (!properties) return;
   options.automatic_ack = properties->choice_or("ackMode", "manual", {"auto", "manual"}) == "auto";
@@ -134,7 +134,7 @@ void read_reading_options(Section& section, ReadingOptions& options) {
   properties->finish();
 }
 
-void read_sending_options(Section& section, SendingOptions& options) {
+void read_sending_options(YamlSection& section, SendingOptions& options) {
   auto properties = section.optional_section("properties");
   if (!properties) return;
   options.keep_newest = properties->choice_or("whenFull", "block", {"keep_newest", "block"}) == "keep_newest";
@@ -149,7 +149,7 @@ void read_sending_options(Section& section, SendingOptions& options) {
   properties->finish();
 }
 
-EndpointDefinition read_endpoint(Section& section, const std::vector<std::string>& brokers) {
+EndpointDefinition read_endpoint(YamlSection& section, const std::vector<std::string>& brokers) {
   EndpointDefinition endpoint;
   endpoint.broker = section.require_choice("broker", brokers);
   endpoint.driver = discovery::DriverName(require_driver(section));

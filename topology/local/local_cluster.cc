@@ -158,7 +158,7 @@ struct LocalCluster::Impl {
       return std::max(std::chrono::duration_cast<std::chrono::milliseconds>(deadline - Clock::now()),
                       std::chrono::milliseconds(100));
     };
-    const auto part = [&](const char* what, config::Service& service, std::chrono::milliseconds kept) {
+    const auto part = [&](const char* what, config::DaemonService& service, std::chrono::milliseconds kept) {
       try {
         service.stop(std::max(left() - kept, std::chrono::milliseconds(100)));
       } catch (const std::exception& error) {

@@ -43,7 +43,7 @@ void load_libraries(const TopologyDefinition& definition, const std::vector<std:
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
                            ComponentRegistry components) {
   std::string description;
-  config::Section::read_file(file, [&](config::Section& root) {
+  config::YamlSection::read_file(file, [&](config::YamlSection& root) {
     const auto definition = TopologyDefinition::read(root, file);
     load_libraries(definition, folders, components);
     config::Metrics unused;

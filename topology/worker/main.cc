@@ -44,7 +44,7 @@ std::string reached_at(const std::string& address, const std::string& bound) {
 }
 
 /// The worker and its pages: /metrics for Prometheus, /healthz, and /topology and /tap for `iotcloud topology`.
-class WorkerService final : public config::Service {
+class WorkerService final : public config::DaemonService {
  public:
   explicit WorkerService(topology::WorkerOptions options)
       : settings_(pages_of(options.definition)), worker_(std::move(options)) {}
@@ -99,7 +99,7 @@ std::vector<std::string> library_folders() {
   return {program.parent_path() / "plugins", program.parent_path() / "lib/iotcloud/plugins"};
 }
 
-std::unique_ptr<config::Service> build(const std::string& file) {
+std::unique_ptr<config::DaemonService> build(const std::string& file) {
   topology::WorkerOptions options{.definition = topology::TopologyDefinition::load(file),
                                   .components = {},
                                   .library_folders = library_folders(),

@@ -40,7 +40,7 @@ struct WorkerOptions {
 
 /// A process that runs a topology: reads from and sends to brokers, runs the graph, shares the channels with other
 /// workers of the same topology, and follows the registry's orders (control.h). Thread safe.
-class Worker final : public config::Service {
+class Worker final : public config::DaemonService {
  public:
   /// Loads the component libraries and checks the merged graph; connects nowhere.
   /// \throws config::ConfigError, config::Error.
@@ -52,7 +52,7 @@ class Worker final : public config::Service {
   /// there. A stop that is asked for while the worker waits to be the topology's only one ends the wait, and then the
   /// topology does not run. \throws config::Error if a component cannot be opened.
   void start(const std::stop_token& stop) override;
-  using config::Service::start;
+  using config::DaemonService::start;
   /// Takes no more messages, waits until the tuples under way are done, and leaves the registry, within `limit`.
   void stop(std::chrono::milliseconds limit) override;
   std::string trouble() const override;

@@ -129,7 +129,7 @@ bool decode_properties(const amqp_basic_properties_t& properties, Message& messa
   return resent;
 }
 
-std::optional<Origin> origin_of(const amqp_basic_properties_t& properties) {
+std::optional<MessageOrigin> origin_of(const amqp_basic_properties_t& properties) {
   constexpr std::size_t publisher_digits = 16;
   if ((properties._flags & AMQP_BASIC_MESSAGE_ID_FLAG) == 0) return std::nullopt;
   const std::string_view id = view(properties.message_id);
@@ -137,7 +137,7 @@ std::optional<Origin> origin_of(const amqp_basic_properties_t& properties) {
   const auto publisher = config::parse_number<std::uint64_t>(id.substr(0, publisher_digits), 16);
   const auto number = config::parse_number<std::uint64_t>(id.substr(publisher_digits + 1));
   if (!publisher || !number) return std::nullopt;
-  return Origin{*publisher, *number};
+  return MessageOrigin{*publisher, *number};
 }
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -14,10 +14,10 @@
 namespace iotcloud::brokers::rabbitmq {
 
 /// Identifies a message, however often it is sent: the AMQP property message-id, `<publisher, 16 hex digits>-<number>`.
-struct Origin {
+struct MessageOrigin {
   std::uint64_t publisher = 0;  ///< Outbox::id
   std::uint64_t number = 0;     ///< ascending for each publisher
-  bool operator==(const Origin&) const = default;
+  bool operator==(const MessageOrigin&) const = default;
 };
 
 /// Encodes the AMQP properties of one message (docs/wire.md#message-metadata).
@@ -30,7 +30,7 @@ class MessageProperties {
     bool resent = false;                      ///< sent before on a connection that was lost, so possibly a duplicate
     std::chrono::milliseconds expires_in{0};  ///< 0: never
     std::uint8_t priority = normal_priority;
-    Origin origin;
+    MessageOrigin origin;
   };
   const amqp_basic_properties_t& encode(const Message& message, const SendOptions& options);
 
@@ -56,6 +56,6 @@ class MessageProperties {
 bool decode_properties(const amqp_basic_properties_t& properties, Message& message);
 
 /// nullopt: another program published it.
-std::optional<Origin> origin_of(const amqp_basic_properties_t& properties);
+std::optional<MessageOrigin> origin_of(const amqp_basic_properties_t& properties);
 
 }  // namespace iotcloud::brokers::rabbitmq

@@ -65,14 +65,14 @@ class OneLook {
   OneLook(const OneLook&) = delete;
   OneLook& operator=(const OneLook&) = delete;
 
-  /// What came since the last call. \throws Failed when the channel cannot be looked at
+  /// What came since the last call. \throws RequestFailed when the channel cannot be looked at
   ChannelLook ask() { return master_.look_at_channel(gateway_, request_); }
-  /// \throws Failed when the instance has stopped, so that nothing comes.
+  /// \throws RequestFailed when the instance has stopped, so that nothing comes.
   void check_runs(const ChannelLook& look) const {
     if (look.state == "active" || look.state == "starting" || look.state == "deployed") return;
-    throw Failed(fmt::format("instance {} is {}{}{}: nothing comes; `iotcloud start {}` starts it", request_.instance,
-                             printable(look.state), look.reason.empty() ? "" : ": ", printable(look.reason),
-                             request_.instance));
+    throw RequestFailed(fmt::format("instance {} is {}{}{}: nothing comes; `iotcloud start {}` starts it",
+                                    request_.instance, printable(look.state), look.reason.empty() ? "" : ": ",
+                                    printable(look.reason), request_.instance));
   }
 
  private:

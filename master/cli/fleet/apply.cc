@@ -24,16 +24,17 @@ constexpr std::size_t most_connections = 8;
 /// The wait limit of orders for a gateway that has not answered before.
 constexpr std::chrono::milliseconds no_wait{1};
 
-using Steps = std::span<const Step>;
-using Outcomes = std::span<StepOutcome>;
+using Steps = std::span<const FleetStep>;
+using Outcomes = std::span<FleetStepOutcome>;
 
 /// Whether the step is a part of its deployment's rolling update.
-bool rolls(const Step& step) {
-  return step.kind == StepKind::update || (step.kind == StepKind::change && !step.recorded_only);
+bool rolls(const FleetStep& step) {
+  return step.kind == FleetStepKind::update || (step.kind == FleetStepKind::change && !step.recorded_only);
 }
 
-bool needs_plugin(const Step& step) {
-  return step.kind == StepKind::deploy || step.kind == StepKind::replace || step.kind == StepKind::update;
+bool needs_plugin(const FleetStep& step) {
+  return step.kind == FleetStepKind::deploy || step.kind == FleetStepKind::replace ||
+         step.kind == FleetStepKind::update;
 }
 
 /// Sends a deployment's plugin to gateways, before anything is ordered there. \return the gateways that did not take
@@ -45,9 +46,9 @@ std::map<discovery::GatewayId, std::string> send(const ManifestDeployment& deplo
   try {
     const auto sent = send_plugin(deployment.file, {gateways.begin(), gateways.end()}, master, terminal);
     if (sent.sha256 != deployment.sha256)
-      throw Failed(fmt::format("{} changed while the manifest was applied; apply it again", deployment.file));
+      throw RequestFailed(fmt::format("{} changed while the manifest was applied; apply it again", deployment.file));
     for (const auto& failure : sent.failures) not_sent[failure.gateway] = failure.reason;
-  } catch (const std::exception& e) {  // Unreachable, Failed, a file that is gone meanwhile
+  } catch (const std::exception& e) {  // Unreachable, RequestFailed, a file that is gone meanwhile
     for (const auto& gateway : gateways) not_sent[gateway] = e.what();
   }
   return not_sent;
@@ -55,11 +56,11 @@ std::map<discovery::GatewayId, std::string> send(const ManifestDeployment& deplo
 
 /// Marks the steps of a deployment that come after its update as failed, because the update did not succeed.
 /// \param gateway whose steps; empty: those of all gateways.
-void leave_out(const Plan& plan, std::size_t number, const discovery::GatewayId& gateway, const std::string& why,
+void leave_out(const FleetPlan& plan, std::size_t number, const discovery::GatewayId& gateway, const std::string& why,
                Outcomes outcomes) {
   for (std::size_t i = 0; i < plan.steps.size(); ++i) {
     const auto& step = plan.steps[i];
-    if (step.kind > StepKind::update && step.deployment == number && outcomes[i].outcome.empty() &&
+    if (step.kind > FleetStepKind::update && step.deployment == number && outcomes[i].outcome.empty() &&
         (gateway.empty() || step.gateway == gateway))
       outcomes[i] = {"failed", fmt::format("not begun, for its deployment was not updated: {}", why)};
   }
@@ -67,7 +68,7 @@ void leave_out(const Plan& plan, std::size_t number, const discovery::GatewayId&
 
 /// Sends the plugins that are files. Afterwards the steps whose gateways did not take the plugin have the outcome
 /// `failed`.
-void send_plugins(const Manifest& manifest, const Plan& plan, const ApplyOptions& options, Outcomes outcomes) {
+void send_plugins(const Manifest& manifest, const FleetPlan& plan, const ApplyOptions& options, Outcomes outcomes) {
   std::map<std::size_t, std::set<discovery::GatewayId>> wanted;
   for (const auto& step : plan.steps) {
     if (needs_plugin(step) && !manifest.deployments.at(step.deployment).file.empty())
@@ -83,7 +84,7 @@ void send_plugins(const Manifest& manifest, const Plan& plan, const ApplyOptions
         const auto& step = plan.steps[i];
         if (step.deployment != number || step.gateway != gateway || !needs_plugin(step)) continue;
         outcomes[i] = {"failed", reason};
-        updates = updates || step.kind == StepKind::update;
+        updates = updates || step.kind == FleetStepKind::update;
       }
       if (updates) leave_out(plan, number, gateway, reason, outcomes);
     }
@@ -92,7 +93,7 @@ void send_plugins(const Manifest& manifest, const Plan& plan, const ApplyOptions
 
 /// Runs the rolling update of one deployment, of its plugin, its properties or both, for those of its instances whose
 /// gateways have the plugin.
-void roll(const Manifest& manifest, const Plan& plan, std::size_t number, const ApplyOptions& options,
+void roll(const Manifest& manifest, const FleetPlan& plan, std::size_t number, const ApplyOptions& options,
           Outcomes outcomes) {
   const auto& deployment = manifest.deployments.at(number);
   std::map<discovery::InstanceId, std::vector<std::size_t>> instances;  // their steps
@@ -106,8 +107,8 @@ void roll(const Manifest& manifest, const Plan& plan, std::size_t number, const 
     auto& its = instances[step.instance];
     if (its.empty()) request.selection.instances.push_back(step.instance);
     its.push_back(i);
-    other_plugin = other_plugin || step.kind == StepKind::update;
-    if (step.kind == StepKind::change)
+    other_plugin = other_plugin || step.kind == FleetStepKind::update;
+    if (step.kind == FleetStepKind::change)
       request.properties.push_back({step.instance, deployment.properties_of(step.index)});
   }
   if (instances.empty()) return;
@@ -117,16 +118,16 @@ void roll(const Manifest& manifest, const Plan& plan, std::size_t number, const 
     request.sha256 = deployment.sha256;
   }
   request.settle = options.settle;
-  StepOutcome untold{"unknown", "the master did not say what became of it"};
+  FleetStepOutcome untold{"unknown", "the master did not say what became of it"};
   try {
     const auto answer = options.connect()->update(request, gateways.size());
-    if (answer.refusal != Refusal::none) untold = {"failed", answer.text};
+    if (answer.refusal != OrderRefusal::none) untold = {"failed", answer.text};
     for (const auto& outcome : answer.outcomes) {
       const auto at = instances.find(outcome.instance);
       if (at == instances.end()) continue;
       for (const auto i : at->second) outcomes[i] = {to_string(outcome.outcome), outcome.reason};
     }
-  } catch (const std::exception& e) {  // Unreachable, Failed
+  } catch (const std::exception& e) {  // Unreachable, RequestFailed
     untold.reason = e.what();
   }
   std::string failure;
@@ -152,8 +153,8 @@ class GatewaySteps {
     const auto bound = [&](auto reached) {
       return static_cast<std::size_t>(std::find_if(steps_.begin(), steps_.end(), reached) - steps_.begin());
     };
-    const auto updates = bound([](const Step& step) { return step.kind >= StepKind::update; });
-    const auto behind = bound([](const Step& step) { return step.kind > StepKind::update; });
+    const auto updates = bound([](const FleetStep& step) { return step.kind >= FleetStepKind::update; });
+    const auto behind = bound([](const FleetStep& step) { return step.kind > FleetStepKind::update; });
     const auto stop = after_updates ? steps_.size() : updates;
     for (std::size_t begin = after_updates ? behind : 0; begin < stop;) {
       const bool open = outcomes_[begin].outcome.empty();
@@ -169,21 +170,21 @@ class GatewaySteps {
 
  private:
   /// Whether one order can do both steps.
-  static bool alike(const Step& a, const Step& b) {
+  static bool alike(const FleetStep& a, const FleetStep& b) {
     return a.kind == b.kind && a.deployment == b.deployment && a.name == b.name && a.metadata == b.metadata &&
-           a.kind != StepKind::change;  // each instance may have properties of its own
+           a.kind != FleetStepKind::change;  // each instance may have properties of its own
   }
 
   void give(MasterClient& master, std::size_t begin, std::size_t count) {
     const auto steps = steps_.subspan(begin, count);
     const auto outcomes = outcomes_.subspan(begin, count);
     try {
-      if (steps.front().kind == StepKind::replace) {
+      if (steps.front().kind == FleetStepKind::replace) {
         replace(master, steps, outcomes);
       } else {
         note(order(master, steps), steps, outcomes);
       }
-    } catch (const std::exception& e) {  // Unreachable, Failed
+    } catch (const std::exception& e) {  // Unreachable, RequestFailed
       for (auto& outcome : outcomes) {
         if (outcome.outcome.empty()) outcome = {"unknown", e.what()};
       }
@@ -195,7 +196,7 @@ class GatewaySteps {
   /// Undeploys instances, and deploys those again whose removal succeeded.
   void replace(MasterClient& master, Steps steps, Outcomes outcomes) {
     note(master.undeploy(selection(steps)), steps, outcomes);
-    std::vector<Step> gone;
+    std::vector<FleetStep> gone;
     std::vector<std::size_t> places;
     for (std::size_t i = 0; i < steps.size(); ++i) {
       if (outcomes[i].outcome != "done") continue;
@@ -203,7 +204,7 @@ class GatewaySteps {
       places.push_back(i);
     }
     if (gone.empty()) return;
-    std::vector<StepOutcome> deployed(gone.size());
+    std::vector<FleetStepOutcome> deployed(gone.size());
     for (const auto place : places) outcomes[place] = {};  // empty outcomes, in case no master answers
     note(deploy(master, gone), gone, deployed);
     for (std::size_t i = 0; i < places.size(); ++i) outcomes[places[i]] = std::move(deployed[i]);
@@ -212,29 +213,29 @@ class GatewaySteps {
   OrderResult order(MasterClient& master, Steps steps) const {
     const auto& deployment = manifest_.deployments;
     switch (steps.front().kind) {
-      case StepKind::undeploy:
-      case StepKind::replace:
+      case FleetStepKind::undeploy:
+      case FleetStepKind::replace:
         return master.undeploy(selection(steps));
-      case StepKind::stop:
+      case FleetStepKind::stop:
         return master.stop(selection(steps));
-      case StepKind::start:
+      case FleetStepKind::start:
         return master.start(selection(steps));
-      case StepKind::describe:
+      case FleetStepKind::describe:
         return master.update_metadata(selection(steps), steps.front().metadata);
-      case StepKind::adopt:
-      case StepKind::change: {
+      case FleetStepKind::adopt:
+      case FleetStepKind::change: {
         DeploymentChange change;
         change.instances = ids(steps);
         change.wait = wait();
-        if (steps.front().kind == StepKind::adopt) {
+        if (steps.front().kind == FleetStepKind::adopt) {
           change.manager = manifest_.fleet;
         } else {
           change.properties = deployment.at(steps.front().deployment).properties_of(steps.front().index);
         }
         return master.change_deployment(change);
       }
-      case StepKind::update:  // roll() gives the updates of all gateways
-      case StepKind::deploy:
+      case FleetStepKind::update:  // roll() gives the updates of all gateways
+      case FleetStepKind::deploy:
         break;
     }
     return deploy(master, steps);
@@ -266,10 +267,10 @@ class GatewaySteps {
   /// Copies the outcomes of an order to its steps. A master's outcomes are in the order of the request's instances;
   /// those of a deployment are in the order of their numbers, which is that of the steps.
   static void note(const OrderResult& answer, Steps steps, Outcomes outcomes) {
-    const bool refused = answer.refusal != Refusal::none || answer.outcomes.size() != steps.size();
+    const bool refused = answer.refusal != OrderRefusal::none || answer.outcomes.size() != steps.size();
     for (std::size_t i = 0; i < steps.size(); ++i) {
-      outcomes[i] = refused ? StepOutcome{"failed", answer.summary()}
-                            : StepOutcome{to_string(answer.outcomes[i].outcome), answer.outcomes[i].reason};
+      outcomes[i] = refused ? FleetStepOutcome{"failed", answer.summary()}
+                            : FleetStepOutcome{to_string(answer.outcomes[i].outcome), answer.outcomes[i].reason};
     }
   }
 
@@ -297,8 +298,8 @@ void run_beside(std::vector<GatewaySteps>& gateways, bool after_updates, const A
 
 }  // namespace
 
-std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const ApplyOptions& options) {
-  std::vector<StepOutcome> outcomes(plan.steps.size());
+std::vector<FleetStepOutcome> apply(const Manifest& manifest, const FleetPlan& plan, const ApplyOptions& options) {
+  std::vector<FleetStepOutcome> outcomes(plan.steps.size());
   send_plugins(manifest, plan, options, outcomes);
   if (options.on_orders) options.on_orders();
   std::vector<GatewaySteps> gateways;

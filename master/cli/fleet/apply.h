@@ -16,7 +16,7 @@ namespace iotcloud::master::cli {
 class MasterClient;
 
 /// The outcome of one step of a plan.
-struct StepOutcome {
+struct FleetStepOutcome {
   std::string outcome;  ///< "done", "failed", "pending", "unknown"
   std::string reason;   ///< for people; empty when there is nothing to say
 };
@@ -41,6 +41,6 @@ struct ApplyOptions {
 /// deployment. Apart from that a failed step does not keep the others from being done; once a gateway has not answered
 /// in time, its remaining orders are given without waiting for their outcomes. \return the outcomes in the order of the
 /// steps. They also say what a master refused, or that no master answered: this function does not throw for either.
-std::vector<StepOutcome> apply(const Manifest& manifest, const Plan& plan, const ApplyOptions& options);
+std::vector<FleetStepOutcome> apply(const Manifest& manifest, const FleetPlan& plan, const ApplyOptions& options);
 
 }  // namespace iotcloud::master::cli

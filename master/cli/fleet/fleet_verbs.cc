@@ -52,7 +52,7 @@ Fleet read_fleet(MasterClient& master) {
   return fleet;
 }
 
-std::string full_name(const Step& step) {
+std::string full_name(const FleetStep& step) {
   return fmt::format("{}/{}", step.name, step.index);
 }
 
@@ -60,12 +60,12 @@ std::string instances(std::size_t count) {
   return fmt::format("{} instance{}", count, count == 1 ? "" : "s");
 }
 
-Json to_json(const Step& step) {
+Json to_json(const FleetStep& step) {
   return {{"change", to_string(step.kind)}, {"gateway", step.gateway}, {"name", step.name}, {"index", step.index},
           {"instance", step.instance},      {"what", step.what}};
 }
 
-Json rest_of(const Plan& plan) {
+Json rest_of(const FleetPlan& plan) {
   Json problems = Json::array();
   for (const auto& problem : plan.problems)
     problems.push_back({{"gateway", problem.gateway}, {"name", problem.name}, {"text", problem.text}});
@@ -79,7 +79,7 @@ Json rest_of(const Plan& plan) {
 }
 
 /// Prints what else a plan says besides its steps: what is kept, skipped, not compared or impossible.
-void tell_rest(const Plan& plan, std::ostream& out, std::ostream& err) {
+void tell_rest(const FleetPlan& plan, std::ostream& out, std::ostream& err) {
   if (!plan.kept.empty())
     out << fmt::format("kept, though the manifest does not name them any more: {}\n", instances(plan.kept.size()));
   if (plan.ordered > 0)
@@ -94,7 +94,7 @@ void tell_rest(const Plan& plan, std::ostream& out, std::ostream& err) {
                        printable(problem.text));
 }
 
-int show_plan(Call& call, const Manifest& manifest, const Plan& plan) {
+int show_plan(Call& call, const Manifest& manifest, const FleetPlan& plan) {
   const int status = !plan.problems.empty() ? exit_failed : plan.steps.empty() ? exit_ok : exit_differs;
   if (call.format != Format::table) {
     Json changes = Json::array();
@@ -118,7 +118,7 @@ int show_plan(Call& call, const Manifest& manifest, const Plan& plan) {
 }
 
 /// Prints a line for each gateway whose changes were not all done.
-void name_failures(const Plan& plan, const std::vector<StepOutcome>& outcomes, std::ostream& err) {
+void name_failures(const FleetPlan& plan, const std::vector<FleetStepOutcome>& outcomes, std::ostream& err) {
   struct Tally {
     std::size_t all = 0, open = 0;
     std::string first;
@@ -137,7 +137,8 @@ void name_failures(const Plan& plan, const std::vector<StepOutcome>& outcomes, s
   }
 }
 
-int show_outcomes(Call& call, const Manifest& manifest, const Plan& plan, const std::vector<StepOutcome>& outcomes) {
+int show_outcomes(Call& call, const Manifest& manifest, const FleetPlan& plan,
+                  const std::vector<FleetStepOutcome>& outcomes) {
   bool ok = plan.problems.empty();
   for (const auto& outcome : outcomes) ok = ok && outcome.outcome == "done";
   if (call.format != Format::table) {
@@ -180,11 +181,11 @@ std::function<void(std::size_t, std::size_t)> progress_to(std::optional<WaitingR
 }
 
 /// \return whether a plan changes an instance.
-WaitingReport::Concerns is_changed_by(const Plan& plan) {
+WaitingReport::Concerns is_changed_by(const FleetPlan& plan) {
   std::set<discovery::InstanceId> there;
   std::set<std::pair<discovery::GatewayId, std::string>> deployed;
   for (const auto& step : plan.steps) {
-    if (step.kind == StepKind::deploy || step.kind == StepKind::replace)
+    if (step.kind == FleetStepKind::deploy || step.kind == FleetStepKind::replace)
       deployed.emplace(step.gateway, full_name(step));
     if (!step.instance.empty()) there.insert(step.instance);
   }
@@ -217,7 +218,7 @@ class OfManifest : public Verb {
   }
 
  protected:
-  virtual int follow(Call& call, const Manifest& manifest, const Plan& plan) = 0;
+  virtual int follow(Call& call, const Manifest& manifest, const FleetPlan& plan) = 0;
 
  private:
   static void check_properties(Call& call, const Manifest& manifest, MasterClient& master) {
@@ -230,7 +231,7 @@ class OfManifest : public Verb {
   }
 
   std::string file_;
-  PlanOptions plan_options_;
+  FleetPlanOptions plan_options_;
 };
 
 class Diff final : public OfManifest {
@@ -240,7 +241,7 @@ class Diff final : public OfManifest {
                     "iotcloud diff -f fleet.yaml", security::Role::operating}) {}
 
  private:
-  int follow(Call& call, const Manifest& manifest, const Plan& plan) override {
+  int follow(Call& call, const Manifest& manifest, const FleetPlan& plan) override {
     return show_plan(call, manifest, plan);
   }
 };
@@ -262,7 +263,7 @@ class Apply final : public OfManifest {
   }
 
  private:
-  int follow(Call& call, const Manifest& manifest, const Plan& plan) override {
+  int follow(Call& call, const Manifest& manifest, const FleetPlan& plan) override {
     if (dry_run_) return show_plan(call, manifest, plan);
     apply_options_.connect = [&call] { return call.connect(); };
     if (call.progress) apply_options_.terminal = &call.err;

@@ -17,7 +17,7 @@ namespace iotcloud::master::cli {
 
 namespace {
 
-using config::Section;
+using config::YamlSection;
 
 /// Names become parts of paths in the registry and of topics.
 bool is_name(const std::string& text) {
@@ -26,7 +26,7 @@ bool is_name(const std::string& text) {
          std::none_of(text.begin(), text.end(), [](unsigned char c) { return c == '/' || c < 0x20 || c == 0x7f; });
 }
 
-std::string checked_name(Section& section, const std::string& key, const std::string& text) {
+std::string checked_name(YamlSection& section, const std::string& key, const std::string& text) {
   if (!is_name(text)) {
     section.refuse(key, fmt::format("\"{}\" cannot be a name", text),
                    "1 to 200 characters, no slash and no control character");
@@ -43,7 +43,7 @@ std::string text_of_file(const std::string& path) {
 }
 
 /// Reads and checks the plugin of a deployment; nothing else decides which plugins a manifest may name.
-void read_plugin(Section& section, const FindPlugin& find_plugin, ManifestDeployment& deployment) {
+void read_plugin(YamlSection& section, const FindPlugin& find_plugin, ManifestDeployment& deployment) {
   const auto plugin = section.require_string("plugin");
   deployment.plugin = plugin;
   if (find_plugin && is_local_plugin(plugin)) {
@@ -64,7 +64,7 @@ void read_plugin(Section& section, const FindPlugin& find_plugin, ManifestDeploy
                  "such as ./turtle.so, which is sent");
 }
 
-void read_gateways(Section& section, ManifestDeployment& deployment) {
+void read_gateways(YamlSection& section, ManifestDeployment& deployment) {
   const std::string all = "all";
   auto gateways = section.require_strings("gateways");
   if (gateways == std::vector<std::string>{all}) {
@@ -81,7 +81,7 @@ void read_gateways(Section& section, ManifestDeployment& deployment) {
 }
 
 /// Reads a YAML mapping of any keys to texts.
-Texts read_texts(Section& section, const std::string& key) {
+Texts read_texts(YamlSection& section, const std::string& key) {
   Texts texts;
   auto mapping = section.optional_section(key);
   if (!mapping) return texts;
@@ -92,7 +92,7 @@ Texts read_texts(Section& section, const std::string& key) {
   return texts;
 }
 
-void read_properties(Section& section, ManifestDeployment& deployment) {
+void read_properties(YamlSection& section, ManifestDeployment& deployment) {
   deployment.places[""] = section.where();
   auto mapping = section.optional_section("properties");
   if (!mapping) return;
@@ -119,7 +119,7 @@ void read_properties(Section& section, ManifestDeployment& deployment) {
 }
 
 /// Reads the file that says what each instance has of its own.
-void read_each(Section& section, const ReadFile& read_file, ManifestDeployment& deployment) {
+void read_each(YamlSection& section, const ReadFile& read_file, ManifestDeployment& deployment) {
   const auto file = section.optional_string("each");
   if (!file) return;
   if (!read_file) {
@@ -166,7 +166,7 @@ void read_index_marks(ManifestDeployment& deployment) {
   }
 }
 
-void read_channels(Section& section, ManifestDeployment& deployment) {
+void read_channels(YamlSection& section, ManifestDeployment& deployment) {
   for (auto& [channel, options] : section.sections("channels")) {
     checked_name(section, "channels", channel);
     for (const auto& option : options.names()) {
@@ -181,7 +181,7 @@ void read_channels(Section& section, ManifestDeployment& deployment) {
   }
 }
 
-ManifestDeployment read_deployment(const std::string& name, Section& section, const FindPlugin& find_plugin,
+ManifestDeployment read_deployment(const std::string& name, YamlSection& section, const FindPlugin& find_plugin,
                                    const ReadFile& read_file) {
   ManifestDeployment deployment;
   deployment.name = checked_name(section, "", name);
@@ -221,7 +221,7 @@ config::Location ManifestDeployment::place_of(const std::string& property, int i
 
 namespace {
 
-Manifest read(Section& top, const FindPlugin& find_plugin, const ReadFile& read_file) {
+Manifest read(YamlSection& top, const FindPlugin& find_plugin, const ReadFile& read_file) {
   Manifest manifest;
   manifest.fleet = checked_name(top, "fleet", top.require_string("fleet"));
   if (!top.has("deployments"))
@@ -235,7 +235,7 @@ Manifest read(Section& top, const FindPlugin& find_plugin, const ReadFile& read_
 
 }  // namespace
 
-Manifest read_manifest(config::Section top, const FindPlugin& find_plugin, const ReadFile& read_file) {
+Manifest read_manifest(config::YamlSection top, const FindPlugin& find_plugin, const ReadFile& read_file) {
   Manifest manifest;
   top.all_errors([&] { manifest = read(top, find_plugin, read_file); });
   return manifest;
@@ -249,7 +249,7 @@ Manifest load_manifest(const std::string& file) {
     return PluginFile{path, security::sha256_hex(bytes), config::declaration_in(bytes)};
   };
   Manifest manifest;
-  config::Section::read_file(file, [&](Section& top) {
+  config::YamlSection::read_file(file, [&](YamlSection& top) {
     manifest = read(top, find_plugin, [&](const std::string& named) { return text_of_file(folder / named); });
   });
   return manifest;

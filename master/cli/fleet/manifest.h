@@ -55,7 +55,7 @@ using ReadFile = std::function<std::string(const std::string& named)>;
 /// \param read_file empty: a manifest may name no file of properties.
 /// \param find_plugin empty: a manifest may only name plugins that are on the gateways.
 /// \throws config::ConfigError with file, line, key and what would be right; also for unknown keys.
-Manifest read_manifest(config::Section top, const FindPlugin& find_plugin = {}, const ReadFile& read_file = {});
+Manifest read_manifest(config::YamlSection top, const FindPlugin& find_plugin = {}, const ReadFile& read_file = {});
 /// Reads a manifest's file. Relative paths of plugins in it start at its own folder.
 Manifest load_manifest(const std::string& file);
 

@@ -66,18 +66,18 @@ std::string or_own(const DriverName& driver) {
 
 class Planner {
  public:
-  Planner(const Manifest& manifest, const Fleet& fleet, const PlanOptions& options)
+  Planner(const Manifest& manifest, const Fleet& fleet, const FleetPlanOptions& options)
       : manifest_(manifest), fleet_(fleet), options_(options) {
     for (const auto& instance : fleet.instances) {
       if (!instance.name.empty()) there_[{instance.gateway, instance.name, instance.index}] = &instance;
     }
   }
 
-  Plan plan() {
+  FleetPlan plan() {
     for (std::size_t i = 0; i < manifest_.deployments.size(); ++i) place(i);
     prune();
-    const auto order = [](const Step& step) { return std::tie(step.gateway, step.kind, step.name, step.index); };
-    const auto before = [&](const Step& a, const Step& b) { return order(a) < order(b); };
+    const auto order = [](const FleetStep& step) { return std::tie(step.gateway, step.kind, step.name, step.index); };
+    const auto before = [&](const FleetStep& a, const FleetStep& b) { return order(a) < order(b); };
     std::sort(plan_.steps.begin(), plan_.steps.end(), before);
     std::sort(plan_.kept.begin(), plan_.kept.end(), before);
     plan_.passed_by.assign(passed_by_.begin(), passed_by_.end());
@@ -123,7 +123,7 @@ class Planner {
       if (found != there_.end()) {
         compare(number, *found->second, gateway);
       } else if (!gateway.draining) {
-        add(StepKind::deploy, number, gateway.id, index, {});
+        add(FleetStepKind::deploy, number, gateway.id, index, {});
       } else if (deployment.all_gateways) {
         passed_by_.insert(gateway.id);
       } else if (!std::exchange(complained, true)) {
@@ -143,7 +143,7 @@ class Planner {
   void compare(std::size_t number, const Fleet::Instance& there, const Fleet::Gateway& gateway) {
     const auto& wanted = manifest_.deployments[number];
     if (there.ordered) ++plan_.ordered;
-    const auto to_do = [&](StepKind kind) -> Step& {
+    const auto to_do = [&](FleetStepKind kind) -> FleetStep& {
       return add(kind, number, there.gateway, there.index, there.instance);
     };
     if (there.manager != manifest_.fleet) {
@@ -155,7 +155,7 @@ class Planner {
                              there.name, there.index, whose));
         return;
       }
-      to_do(StepKind::adopt).what = {whose};
+      to_do(FleetStepKind::adopt).what = {whose};
     }
     const bool other_plugin = there.plugin != wanted.plugin || there.sha256 != wanted.sha256;
     // Without a driver in the manifest the instance keeps the name that the first plugin gave it, because topics
@@ -168,7 +168,7 @@ class Planner {
     const auto plugins =
         fmt::format("plugin: {} -> {}", version(there.plugin, there.sha256), version(wanted.plugin, wanted.sha256));
     if (other_driver) {
-      auto& step = to_do(StepKind::replace);
+      auto& step = to_do(FleetStepKind::replace);
       if (other_plugin) step.what.push_back(plugins);
       step.what.push_back(fmt::format("driver: {} -> {}", or_own(there.driver), wanted.driver));
       return;
@@ -178,24 +178,24 @@ class Planner {
       return;
     }
     const std::size_t before = plan_.steps.size();
-    if (other_plugin) to_do(StepKind::update).what = {plugins};
+    if (other_plugin) to_do(FleetStepKind::update).what = {plugins};
     const Texts wanted_properties = wanted.properties_of(there.index);
     const Texts properties = known_properties(there, wanted_properties);
     const bool anew = properties != wanted_properties;
     if (anew) {
-      auto& step = to_do(StepKind::change);
+      auto& step = to_do(FleetStepKind::change);
       step.what = differences(properties, wanted_properties);
       step.recorded_only = gateway.lost;
     }
     if (there.metadata != wanted.metadata) {
-      auto& step = to_do(StepKind::describe);
+      auto& step = to_do(FleetStepKind::describe);
       step.what = differences(there.metadata, wanted.metadata);
       step.metadata = changes(there.metadata, wanted.metadata);
     }
     if (there.active != wanted.active) {
-      to_do(wanted.active ? StepKind::start : StepKind::stop);
+      to_do(wanted.active ? FleetStepKind::start : FleetStepKind::stop);
     } else if (wanted.active && !there.failure.empty() && !gateway.draining && !anew && !other_plugin) {
-      to_do(StepKind::start).what = {"it failed: " + there.failure};
+      to_do(FleetStepKind::start).what = {"it failed: " + there.failure};
     }
     if (plan_.steps.size() == before) ++plan_.same;
   }
@@ -214,8 +214,8 @@ class Planner {
   void prune() {
     for (const auto& there : fleet_.instances) {
       if (there.manager != manifest_.fleet || wanted_.contains({there.gateway, there.name, there.index})) continue;
-      Step step;
-      step.kind = StepKind::undeploy;
+      FleetStep step;
+      step.kind = FleetStepKind::undeploy;
       step.gateway = there.gateway;
       step.name = there.name;
       step.index = there.index;
@@ -224,7 +224,8 @@ class Planner {
     }
   }
 
-  Step& add(StepKind kind, std::size_t number, const GatewayId& gateway, int index, const InstanceId& instance) {
+  FleetStep& add(FleetStepKind kind, std::size_t number, const GatewayId& gateway, int index,
+                 const InstanceId& instance) {
     auto& step = plan_.steps.emplace_back();
     step.kind = kind;
     step.gateway = gateway;
@@ -241,40 +242,40 @@ class Planner {
 
   const Manifest& manifest_;
   const Fleet& fleet_;
-  const PlanOptions& options_;
+  const FleetPlanOptions& options_;
   std::map<Key, const Fleet::Instance*> there_;
   std::set<Key> wanted_;
   std::set<GatewayId> passed_by_;
-  Plan plan_;
+  FleetPlan plan_;
 };
 
 }  // namespace
 
-std::string to_string(StepKind kind) {
+std::string to_string(FleetStepKind kind) {
   switch (kind) {
-    case StepKind::undeploy:
+    case FleetStepKind::undeploy:
       return "undeploy";
-    case StepKind::stop:
+    case FleetStepKind::stop:
       return "stop";
-    case StepKind::adopt:
+    case FleetStepKind::adopt:
       return "adopt";
-    case StepKind::replace:
+    case FleetStepKind::replace:
       return "replace";
-    case StepKind::update:
+    case FleetStepKind::update:
       return "update";
-    case StepKind::change:
+    case FleetStepKind::change:
       return "change";
-    case StepKind::describe:
+    case FleetStepKind::describe:
       return "describe";
-    case StepKind::start:
+    case FleetStepKind::start:
       return "start";
-    case StepKind::deploy:
+    case FleetStepKind::deploy:
       return "deploy";
   }
   return "";
 }
 
-Plan make_plan(const Manifest& manifest, const Fleet& fleet, const PlanOptions& options) {
+FleetPlan make_plan(const Manifest& manifest, const Fleet& fleet, const FleetPlanOptions& options) {
   return Planner(manifest, fleet, options).plan();
 }
 

@@ -34,7 +34,7 @@ struct Fleet {
 
 /// The kinds of steps, each for one instance, in the order in which a gateway's steps are done. The updates and changes
 /// of a deployment are one order for all gateways, one after the other.
-enum class StepKind {
+enum class FleetStepKind {
   undeploy,
   stop,
   adopt,     ///< the instance, which a person deployed, belongs to the manifest from now on
@@ -45,11 +45,11 @@ enum class StepKind {
   start,     ///< the instance was stopped, or has failed
   deploy,
 };
-std::string to_string(StepKind kind);
+std::string to_string(FleetStepKind kind);
 
 /// One thing to do on one gateway.
-struct Step {
-  StepKind kind = StepKind::deploy;
+struct FleetStep {
+  FleetStepKind kind = FleetStepKind::deploy;
   discovery::GatewayId gateway;
   std::string name;
   int index = 0;
@@ -62,17 +62,17 @@ struct Step {
 };
 
 /// Something that the manifest wants and that cannot be done.
-struct Problem {
+struct FleetProblem {
   discovery::GatewayId gateway;
   std::string name;  ///< of a deployment
   std::string text;  ///< the problem, and how to mend it
 };
 
 /// The differences between a manifest and a fleet.
-struct Plan {
-  std::vector<Step> steps;  ///< sorted by gateway, then in the order of StepKind
-  std::vector<Problem> problems;
-  std::vector<Step> kept;  ///< what pruning would undeploy, when PlanOptions::prune is false
+struct FleetPlan {
+  std::vector<FleetStep> steps;  ///< sorted by gateway, then in the order of FleetStepKind
+  std::vector<FleetProblem> problems;
+  std::vector<FleetStep> kept;  ///< what pruning would undeploy, when FleetPlanOptions::prune is false
   /// Draining gateways, which get no instances of deployments to all gateways.
   std::vector<discovery::GatewayId> passed_by;
   std::size_t same = 0;     ///< number of instances that are as the manifest wants them
@@ -82,13 +82,13 @@ struct Plan {
 };
 
 /// Permissions for a plan to change things that the manifest does not name.
-struct PlanOptions {
+struct FleetPlanOptions {
   bool prune = true;   ///< undeploy instances that the manifest deployed and names no more
   bool adopt = false;  ///< take over instances that others deployed under names of the manifest
 };
 
 /// Plans the steps that make the fleet as the manifest says, and no others. An instance that the manifest did not
 /// deploy is never touched, unless it has a name of the manifest's and may be adopted.
-Plan make_plan(const Manifest& manifest, const Fleet& fleet, const PlanOptions& options);
+FleetPlan make_plan(const Manifest& manifest, const Fleet& fleet, const FleetPlanOptions& options);
 
 }  // namespace iotcloud::master::cli

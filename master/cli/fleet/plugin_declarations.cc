@@ -21,7 +21,7 @@ void PluginDeclarations::ask() {
     auto answer = master_.plugins(living);
     known_ = std::move(answer.plugins);
     silent_ = std::move(answer.silent);
-  } catch (const Failed& e) {  // an older master, or one without the registry
+  } catch (const RequestFailed& e) {  // an older master, or one without the registry
     for (const auto& gateway : living) silent_[gateway] = e.what();
   }
 }

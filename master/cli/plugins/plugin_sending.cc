@@ -42,7 +42,7 @@ class Progress {
 };
 
 UploadResult accepted(UploadResult answer) {
-  if (answer.refusal.refusal != Refusal::none) throw Failed(answer.refusal.text);
+  if (answer.refusal.refusal != OrderRefusal::none) throw RequestFailed(answer.refusal.text);
   return answer;
 }
 

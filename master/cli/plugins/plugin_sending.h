@@ -19,7 +19,7 @@ struct SentPlugin {
 /// Sends a plugin of this machine, with the signature in FILE.sig beside it when there is one, to gateways that do not
 /// have it yet. Does nothing for a plugin in the gateways' folders (is_local_plugin). \param gateways empty: all.
 /// \param terminal shows the progress of a large plugin; nullptr: nobody sees it.
-/// \throws std::invalid_argument for a file that cannot be sent; Unreachable, Failed.
+/// \throws std::invalid_argument for a file that cannot be sent; Unreachable, RequestFailed.
 SentPlugin send_plugin(const std::string& plugin, const std::vector<discovery::GatewayId>& gateways,
                        MasterClient& master, std::ostream* terminal);
 

@@ -180,7 +180,7 @@ class DescribePlugin final : public Verb {
     });
     if (found.empty()) {
       static_cast<void>(name_silent(answer.silent, "the list of plugins", call.err));
-      throw Failed(fmt::format("no gateway has a plugin \"{}\"; `iotcloud plugin list` lists them", plugin_));
+      throw RequestFailed(fmt::format("no gateway has a plugin \"{}\"; `iotcloud plugin list` lists them", plugin_));
     }
     show(call, found, master->drivers());
     return name_silent(answer.silent, "the list of plugins", call.err);

@@ -60,14 +60,14 @@ std::string path_of(const std::string& program) {
 
 }  // namespace
 
-Ended run_sibling(const std::string& program, const std::vector<std::string>& arguments) {
+ProgramEnd run_sibling(const std::string& program, const std::vector<std::string>& arguments) {
   const std::string path = path_of(program);
   Pipe pipe;
   std::vector<std::string> words{path};
   words.insert(words.end(), arguments.begin(), arguments.end());
   const pid_t child = start(path, std::move(words), pipe.ends[1]);
   pipe.close_writing_end();
-  Ended ended;
+  ProgramEnd ended;
   std::array<char, 4096> buffer{};
   for (ssize_t got = 0; (got = read(pipe.ends[0], buffer.data(), buffer.size())) != 0;) {
     if (got > 0) ended.output.append(buffer.data(), static_cast<std::size_t>(got));

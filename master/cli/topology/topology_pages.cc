@@ -50,7 +50,7 @@ std::string oldest(const Json& of) {
 
 Json parse_page(const std::string& text) {
   return Json::parse(text, [](int depth, Json::parse_event_t, const Json&) {
-    if (depth > most_page_levels) throw Failed("its page has too many lists and objects within each other");
+    if (depth > most_page_levels) throw RequestFailed("its page has too many lists and objects within each other");
     return true;
   });
 }
@@ -63,7 +63,7 @@ TopologyPages::TopologyPages(const discovery::TopologyStatus& topology, WorkerPa
       Json page = parse_page(workers.get(worker, "/topology"));
       if (components_.empty()) components_ = page.at("components");
       pages_.push_back(std::move(page));
-    } catch (const Failed& e) {
+    } catch (const RequestFailed& e) {
       problems_.emplace_back(e.what());
     } catch (const Json::exception& e) {
       problems_.push_back(fmt::format("worker {}: its page cannot be read: {}", worker.name, e.what()));

@@ -44,7 +44,7 @@ class TopologyPages {
   Json components_ = Json::array();
 };
 
-/// A worker's page, which may come from anybody who stands in the registry as a worker. \throws Failed,
+/// A worker's page, which may come from anybody who stands in the registry as a worker. \throws RequestFailed,
 /// TopologyPages::Json::exception
 TopologyPages::Json parse_page(const std::string& text);
 

@@ -61,7 +61,7 @@ class Taps {
         pages_(master, topology.record.name),
         err_(err),
         workers_(topology.workers) {
-    if (workers_.empty()) throw Failed("no worker of topology " + topology.record.name + " runs");
+    if (workers_.empty()) throw RequestFailed("no worker of topology " + topology.record.name + " runs");
   }
   ~Taps() {
     for (const auto& worker : workers_) {
@@ -76,7 +76,7 @@ class Taps {
   Taps& operator=(const Taps&) = delete;
 
   /// The samples since the last call, in order of time. Says which workers cannot be asked, or have ended, and skips
-  /// them. \throws Failed when none is left.
+  /// them. \throws RequestFailed when none is left.
   std::vector<Json> poll() {
     std::vector<Json> samples;
     for (auto worker = workers_.begin(); worker != workers_.end();) {
@@ -84,12 +84,12 @@ class Taps {
         const Json page = parse_page(pages_.get(*worker, query_));
         for (const Json& sample : page.at("samples")) samples.push_back(sample);
         ++worker;
-      } catch (const Failed& e) {
+      } catch (const RequestFailed& e) {
         if (workers_.size() == 1) throw;
         err_ << "iotcloud: " << printable(e.what()) << '\n';
         worker = workers_.erase(worker);
       } catch (const Json::exception& e) {
-        throw Failed(fmt::format("worker {}: its answer cannot be read: {}", worker->name, e.what()));
+        throw RequestFailed(fmt::format("worker {}: its answer cannot be read: {}", worker->name, e.what()));
       }
     }
     std::stable_sort(samples.begin(), samples.end(), [](const Json& a, const Json& b) {

@@ -16,7 +16,7 @@ struct TapRequest {
 };
 
 /// Shows samples of the tuples of a component in all workers, until there are enough or the user interrupts it. Then it
-/// ends the workers' taps, too. \return the exit status. \throws Failed
+/// ends the workers' taps, too. \return the exit status. \throws RequestFailed
 int tap(Call& call, const TapRequest& request, const discovery::TopologyStatus& topology, MasterClient& master);
 
 }  // namespace iotcloud::master::cli

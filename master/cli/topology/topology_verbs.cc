@@ -28,15 +28,15 @@ using Rows = std::vector<std::vector<std::string>>;
 
 namespace {
 
-/// \throws Failed when there is no such topology, naming those that there are.
+/// \throws RequestFailed when there is no such topology, naming those that there are.
 TopologyStatus find_topology(const discovery::TopologyName& name, MasterClient& master) {
   std::vector<discovery::TopologyName> names;
   for (auto& topology : master.topologies()) {
     if (topology.record.name == name) return std::move(topology);
     names.push_back(topology.record.name);
   }
-  throw Failed(names.empty() ? fmt::format("no topology \"{}\"; none runs", name)
-                             : fmt::format("no topology \"{}\"; there are {}", name, fmt::join(names, ", ")));
+  throw RequestFailed(names.empty() ? fmt::format("no topology \"{}\"; none runs", name)
+                                    : fmt::format("no topology \"{}\"; there are {}", name, fmt::join(names, ", ")));
 }
 
 /// A verb about one topology.
@@ -314,7 +314,7 @@ class ChangeTopology final : public Verb {
                   {"outcomes", discovery::json_of<Json>(result.outcomes)}});
       return status;
     }
-    if (result.refusal != Refusal::none) {
+    if (result.refusal != OrderRefusal::none) {
       call.err << "iotcloud: " << printable(result.text) << '\n';
       return exit_failed;
     }

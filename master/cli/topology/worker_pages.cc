@@ -8,7 +8,7 @@ namespace iotcloud::master::cli {
 
 std::string WorkerPages::get(const discovery::WorkerRecord& worker, const std::string& target) {
   if (worker.http.empty()) {
-    throw Failed(fmt::format("worker {} serves no pages (it runs inside another program)", worker.name));
+    throw RequestFailed(fmt::format("worker {} serves no pages (it runs inside another program)", worker.name));
   }
   if (worker.tls || worker.host != config::host_name()) return master_.worker_page(topology_, worker.name, target);
   if (const auto known = unreachable_.find(worker.name); known != unreachable_.end())
@@ -19,7 +19,7 @@ std::string WorkerPages::get(const discovery::WorkerRecord& worker, const std::s
     unreachable_.emplace(worker.name, error.what());
     return by_the_master(worker, target, error.what());
   } catch (const rpc::HttpError& error) {
-    throw Failed(fmt::format("worker {}: {}", worker.name, error.what()));
+    throw RequestFailed(fmt::format("worker {}: {}", worker.name, error.what()));
   }
 }
 
@@ -27,8 +27,9 @@ std::string WorkerPages::by_the_master(const discovery::WorkerRecord& worker, co
                                        const std::string& why) {
   try {
     return master_.worker_page(topology_, worker.name, target);
-  } catch (const Failed& error) {
-    throw Failed(fmt::format("worker {}: {}; a master does not reach it either: {}", worker.name, why, error.what()));
+  } catch (const RequestFailed& error) {
+    throw RequestFailed(
+        fmt::format("worker {}: {}; a master does not reach it either: {}", worker.name, why, error.what()));
   }
 }
 

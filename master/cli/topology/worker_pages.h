@@ -8,15 +8,15 @@
 
 namespace iotcloud::master::cli {
 
-/// Reads the pages of a topology's workers: of those on this machine itself; of others, and of those that did not answer
-/// here once, by way of a master. Used by one thread.
+/// Reads the pages of a topology's workers: of those on this machine itself; of others, and of those that did not
+/// answer here once, by way of a master. Used by one thread.
 class WorkerPages {
  public:
   /// \param master outlives this object.
   WorkerPages(MasterClient& master, discovery::TopologyName topology)
       : master_(master), topology_(std::move(topology)) {}
 
-  /// \param target path and query. \throws Failed with the reason, which names the worker; Unreachable.
+  /// \param target path and query. \throws RequestFailed with the reason, which names the worker; Unreachable.
   std::string get(const discovery::WorkerRecord& worker, const std::string& target);
 
  private:

@@ -94,7 +94,7 @@ TEST(RabbitMqHeadersTest, CarryDurabilityExpiryOriginAndResentMark) {
   EXPECT_EQ(std::string(static_cast<const char*>(properties.expiration.bytes), properties.expiration.len), "250");
   EXPECT_EQ(std::string(static_cast<const char*>(properties.message_id.bytes), properties.message_id.len),
             "00000000000000ab-77");
-  EXPECT_EQ(origin_of(properties), (Origin{0x00ab, 77}));
+  EXPECT_EQ(origin_of(properties), (MessageOrigin{0x00ab, 77}));
   Message received;
   EXPECT_TRUE(decode_properties(properties, received));
   EXPECT_TRUE(received.properties.empty()) << "the mark is ours, not the user's";
@@ -168,7 +168,7 @@ TEST(RabbitMqHeadersTest, TheLargestOriginFits) {
   MessageProperties encoder;
   MessageProperties::SendOptions options;
   options.origin = {largest, largest};
-  EXPECT_EQ(origin_of(encoder.encode(Message{}, options)), (Origin{largest, largest}));
+  EXPECT_EQ(origin_of(encoder.encode(Message{}, options)), (MessageOrigin{largest, largest}));
 }
 
 TEST(RabbitMqHeadersTest, AMessageIdThatIsNotOursIsNoOrigin) {
@@ -185,13 +185,13 @@ TEST(ResentMarksTest, CopiesThatComeAfterAMarkedOneMayHaveBeenRead) {
   ResentMarks marks;
   const std::uint64_t one = 1;
   const std::uint64_t other = 2;
-  EXPECT_FALSE(marks.may_be_a_copy(Origin{one, 5}, false));
-  EXPECT_TRUE(marks.may_be_a_copy(Origin{one, 6}, true));
-  EXPECT_TRUE(marks.may_be_a_copy(Origin{one, 7}, true));
-  EXPECT_FALSE(marks.may_be_a_copy(Origin{one, 8}, false)) << "new";
-  EXPECT_TRUE(marks.may_be_a_copy(Origin{one, 6}, false));
-  EXPECT_TRUE(marks.may_be_a_copy(Origin{one, 7}, false));
-  EXPECT_FALSE(marks.may_be_a_copy(Origin{other, 7}, false));
+  EXPECT_FALSE(marks.may_be_a_copy(MessageOrigin{one, 5}, false));
+  EXPECT_TRUE(marks.may_be_a_copy(MessageOrigin{one, 6}, true));
+  EXPECT_TRUE(marks.may_be_a_copy(MessageOrigin{one, 7}, true));
+  EXPECT_FALSE(marks.may_be_a_copy(MessageOrigin{one, 8}, false)) << "new";
+  EXPECT_TRUE(marks.may_be_a_copy(MessageOrigin{one, 6}, false));
+  EXPECT_TRUE(marks.may_be_a_copy(MessageOrigin{one, 7}, false));
+  EXPECT_FALSE(marks.may_be_a_copy(MessageOrigin{other, 7}, false));
 }
 
 TEST(ResentMarksTest, WhatOthersPublishHasOnlyItsMark) {
@@ -204,10 +204,10 @@ TEST(ResentMarksTest, ThePublisherOfNowIsNotForgottenForTheManyBefore) {
   ResentMarks marks;
   constexpr std::uint64_t many = 100'000;
   for (std::uint64_t publisher = many; publisher > 0; --publisher) {
-    marks.may_be_a_copy(Origin{publisher, 3}, true);
-    ASSERT_TRUE(marks.may_be_a_copy(Origin{publisher, 2}, false));
+    marks.may_be_a_copy(MessageOrigin{publisher, 3}, true);
+    ASSERT_TRUE(marks.may_be_a_copy(MessageOrigin{publisher, 2}, false));
   }
-  EXPECT_FALSE(marks.may_be_a_copy(Origin{2, 2}, false)) << "what is kept is bounded";
+  EXPECT_FALSE(marks.may_be_a_copy(MessageOrigin{2, 2}, false)) << "what is kept is bounded";
 }
 
 }  // namespace

@@ -40,7 +40,7 @@ TEST(Lease, IsNotShorterThanTheGatewaysSession) {
 
 TEST(Lease, RunsOutWhenNothingConfirmsIt) {
   const config::Clock::Instant start{1h};
-  Confirmation confirmation;
+  LeaseConfirmation confirmation;
   EXPECT_EQ(confirmation.left(30s, start), 0s) << "nothing was confirmed yet";
   confirmation.renew(start);
   EXPECT_EQ(confirmation.left(30s, start + 29s), 1s);

@@ -192,12 +192,12 @@ TEST_F(CliOfAFarWorker, ReadsNoOtherPageOfIt) {
   for (const auto& target : {std::string("/metrics"), std::string("/tap"), std::string("/topology?a=b"), smuggled,
                              "/tap?id=" + std::string(3'000, 'a')}) {
     EXPECT_THAT([&] { client.worker_page("echo"_topology, "w1", target); },
-                testing::ThrowsMessage<cli::Failed>(HasSubstr("is not read here")));
+                testing::ThrowsMessage<cli::RequestFailed>(HasSubstr("is not read here")));
   }
   EXPECT_THAT([&] { client.worker_page("echo"_topology, "w2", "/topology"); },
-              testing::ThrowsMessage<cli::Failed>(HasSubstr("has no worker w2")));
+              testing::ThrowsMessage<cli::RequestFailed>(HasSubstr("has no worker w2")));
   EXPECT_THAT([&] { client.worker_page("ehco"_topology, "w1", "/topology"); },
-              testing::ThrowsMessage<cli::Failed>(HasSubstr("no topology \"ehco\"")));
+              testing::ThrowsMessage<cli::RequestFailed>(HasSubstr("no topology \"ehco\"")));
 }
 
 /// A worker that shows its pages on this machine only, without TLS.
@@ -292,9 +292,9 @@ TEST_F(CliOfAWorkerHere, GetsNoAnswerOfAnotherProgramAtTheMaster) {
   for (const auto* pages : {&other, &another_worker}) {
     show_worker_at(pages->address());
     for (const char* target : {"/topology", "/tap?id=a"}) {
-      EXPECT_THAT(
-          [&] { client.worker_page("echo"_topology, "w1", target); },
-          testing::ThrowsMessage<cli::Failed>(AllOf(HasSubstr("another program answers at"), Not(HasSubstr("own")))));
+      EXPECT_THAT([&] { client.worker_page("echo"_topology, "w1", target); },
+                  testing::ThrowsMessage<cli::RequestFailed>(
+                      AllOf(HasSubstr("another program answers at"), Not(HasSubstr("own")))));
     }
     node_.reset();
   }

@@ -32,7 +32,7 @@ void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutpu
                                  "Messages given up because their builder refused them", labels);
   if (endpoint_.make_builder) builder_ = endpoint_.make_builder();
   if (!endpoint_.where.everything()) {
-    filter_.emplace(placement_->verdicts(),
+    filter_.emplace(placement_->chosen_instances(),
                     metrics.counter("iotcloud_spout_unselected_total",
                                     "Messages on shared channels of drivers that `where` does not choose", labels));
   }

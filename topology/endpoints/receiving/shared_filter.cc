@@ -11,7 +11,7 @@ std::optional<ChannelMessage> SharedFilter::pass(ChannelMessage arrival, config:
   const std::string& instance = arrival.delivery.message.driver_id;
   const auto line = waiting_.find(instance);
   if (line == waiting_.end()) {
-    const auto chosen = verdicts_->of(instance);
+    const auto chosen = chosen_instances_->of(instance);
     if (chosen.value_or(false)) return arrival;
     if (chosen || instance.empty()) {
       drop(arrival);
@@ -26,7 +26,7 @@ std::optional<ChannelMessage> SharedFilter::pass(ChannelMessage arrival, config:
 
 std::optional<ChannelMessage> SharedFilter::next(config::Clock::Instant now) {
   for (auto line = waiting_.begin(); line != waiting_.end();) {
-    const auto chosen = verdicts_->of(line->first.str());
+    const auto chosen = chosen_instances_->of(line->first.str());
     auto& messages = line->second;
     while (!messages.empty()) {
       Waiting& first = messages.front();

@@ -11,8 +11,8 @@
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/ids.h>
+#include <iotcloud/topology/endpoints/receiving/chosen_instances.h>
 #include <iotcloud/topology/endpoints/receiving/spout_queue.h>
-#include <iotcloud/topology/endpoints/receiving/verdicts.h>
 
 namespace iotcloud::topology {
 
@@ -21,8 +21,8 @@ namespace iotcloud::topology {
 /// those behind it wait for `grace`. Belongs to one spout task; not thread safe.
 class SharedFilter {
  public:
-  SharedFilter(std::shared_ptr<const Verdicts> verdicts, config::Counter& dropped)
-      : verdicts_(std::move(verdicts)), dropped_(dropped) {}
+  SharedFilter(std::shared_ptr<const ChosenInstances> chosen_instances, config::Counter& dropped)
+      : chosen_instances_(std::move(chosen_instances)), dropped_(dropped) {}
 
   /// \return the message if it may be emitted; nullopt: it was dropped, or waits.
   std::optional<ChannelMessage> pass(ChannelMessage arrival, config::Clock::Instant now);
@@ -48,7 +48,7 @@ class SharedFilter {
   };
   void drop(ChannelMessage& arrival);
 
-  const std::shared_ptr<const Verdicts> verdicts_;
+  const std::shared_ptr<const ChosenInstances> chosen_instances_;
   config::Counter& dropped_;
   std::map<discovery::InstanceId, std::deque<Waiting>, std::less<>> waiting_;  ///< no queue is empty
   std::size_t waiting_count_ = 0;

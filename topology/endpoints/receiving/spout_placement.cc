@@ -186,8 +186,8 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
     });
   };
   if (!endpoint_.where.everything()) {
-    callbacks.on_verdict = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
-      verdicts_->told(instance, chosen);
+    callbacks.on_choice = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
+      chosen_instances_->told(instance, chosen);
     };
   }
   search->directory = std::make_unique<discovery::DriverDirectory>(
@@ -239,7 +239,7 @@ std::shared_ptr<SpoutQueue> SpoutPlacement::queue_of(int task) {
   return queues_.at(task);
 }
 
-void SpoutPlacement::plan(Plan& plan, std::chrono::milliseconds pause, void (SpoutPlacement::*call)()) {
+void SpoutPlacement::plan(PlannedCall& plan, std::chrono::milliseconds pause, void (SpoutPlacement::*call)()) {
   if (std::exchange(plan.made, true)) return;
   plan.timer = services_->registry->after(pause, [this, &plan, call] {
     in_turn([&] {
@@ -279,8 +279,7 @@ discovery::GuardPtr SpoutPlacement::take(discovery::GuardPtr SpoutPlacement::*ti
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
   std::string problem = misfit(channel, discovery::Direction::out, endpoint_.broker);
-  const std::string difference =
-      problem.empty() && channel.shared ? split_topics_->difference(channel) : std::string();
+  const std::string difference = problem.empty() && channel.shared ? split_topics_->difference(channel) : std::string();
   set_difference(channel, difference);
   if (problem.empty()) problem = difference;
   if (problem.empty()) return true;
@@ -292,8 +291,8 @@ bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
   return false;
 }
 
-/// Shows why this instance's shared channel is not read, as long as it is so; empty: it is read, or gone, or not read
-/// for another reason.
+/// Shows why this instance's shared channel is not read, until a later call has another text. \param text empty: the
+/// channel is read, or gone, or not read for a reason that is shown elsewhere
 void SpoutPlacement::set_difference(const discovery::ChannelRecord& channel, const std::string& text) {
   const Difference now(channel.gateway, text);
   const auto known = differences_.find(channel.instance);
@@ -385,7 +384,7 @@ void SpoutPlacement::add_to_unit(const discovery::ChannelRecord& channel, std::o
 /// Takes the channel out of the units of its partitions from the given one on.
 void SpoutPlacement::displace(const discovery::ChannelRecord& channel, int first_partition, SpoutUnits::End end) {
   // Messages of an instance that `where` chooses no longer stay at the broker.
-  if (!verdicts_->of(channel.instance.str()).value_or(true)) end = SpoutUnits::End::at_once;
+  if (!chosen_instances_->of(channel.instance.str()).value_or(true)) end = SpoutUnits::End::at_once;
   for (int partition = first_partition;; ++partition) {
     const std::string name = unit_of(channel, partition);
     if (!units_.contains(name)) return;

@@ -13,10 +13,10 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/placement/reading_group.h>
+#include <iotcloud/topology/endpoints/receiving/chosen_instances.h>
 #include <iotcloud/topology/endpoints/receiving/prefetch_report.h>
 #include <iotcloud/topology/endpoints/receiving/split_topics.h>
 #include <iotcloud/topology/endpoints/receiving/spout_units.h>
-#include <iotcloud/topology/endpoints/receiving/verdicts.h>
 #include <iotcloud/topology/endpoints/services.h>
 
 namespace iotcloud::topology {
@@ -49,8 +49,8 @@ class SpoutPlacement {
   /// A task calls it when it closes. The first call ends all reading, and returns when no message comes any more.
   void leave();
   /// Which driver instances `where` chooses, also of those that share a channel.
-  std::shared_ptr<const Verdicts> verdicts() const { return verdicts_; }
-  /// How old messages are that come, which the tasks say, and what waits at the brokers.
+  std::shared_ptr<const ChosenInstances> chosen_instances() const { return chosen_instances_; }
+  /// How old the messages are that the tasks receive, and how many more wait at the brokers.
   const std::shared_ptr<Arrivals>& arrivals() const { return arrivals_; }
 
  private:
@@ -118,15 +118,16 @@ class SpoutPlacement {
   config::Labels labels() const { return {{"topology", services_->topology.str()}, {"component", component_}}; }
 
   /// A call that a timer of the registry makes.
-  struct Plan {
+  struct PlannedCall {
     bool made = false;  ///< and the call has not begun
     discovery::GuardPtr timer;
   };
-  struct Plans {
-    Plan sharing, looking, telling, limit, arrivals, missing;
+  struct PlannedCalls {
+    PlannedCall sharing, looking, telling, limit, arrivals, missing;
   };
   /// Plans a call, unless it is planned already.
-  void plan(Plan& plan, std::chrono::milliseconds pause, void (SpoutPlacement::*call)()) IOTCLOUD_REQUIRES(dispatcher_);
+  void plan(PlannedCall& plan, std::chrono::milliseconds pause, void (SpoutPlacement::*call)())
+      IOTCLOUD_REQUIRES(dispatcher_);
   /// Plans the calls that the units need after what a callback did to them.
   void plan_what_follows() IOTCLOUD_REQUIRES(dispatcher_);
   void share_out() IOTCLOUD_REQUIRES(dispatcher_);
@@ -139,7 +140,7 @@ class SpoutPlacement {
   const std::string component_;
   const EndpointDefinition endpoint_;
   const std::shared_ptr<Arrivals> arrivals_ = std::make_shared<Arrivals>();
-  const std::shared_ptr<Verdicts> verdicts_ = std::make_shared<Verdicts>();
+  const std::shared_ptr<ChosenInstances> chosen_instances_ = std::make_shared<ChosenInstances>();
 
   std::string path_;  ///< readers_path(); set by the last join()
 
@@ -167,7 +168,7 @@ class SpoutPlacement {
   std::map<discovery::InstanceId, Difference> differences_ IOTCLOUD_GUARDED_BY(dispatcher_);
   /// The instances of differences_, as the troubles name them: mostly all of a gateway have the same difference.
   std::map<Difference, std::set<discovery::InstanceId>> differing_ IOTCLOUD_GUARDED_BY(dispatcher_);
-  Plans plans_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  PlannedCalls plans_ IOTCLOUD_GUARDED_BY(dispatcher_);
   /// Outgoing channels of instances that do not have the wanted one; the plan `missing` calls warn_of_missing().
   std::set<std::string> others_ IOTCLOUD_GUARDED_BY(dispatcher_);
   bool warned_of_missing_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;  ///< or the call is planned

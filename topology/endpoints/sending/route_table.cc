@@ -45,8 +45,8 @@ void RouteTable::join() {
     on_record(instance, record);
   };
   if (!endpoint_.where.everything()) {
-    callbacks.on_verdict = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
-      on_verdict(instance, chosen);
+    callbacks.on_choice = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
+      on_choice(instance, chosen);
     };
   }
   directory_ = std::make_unique<discovery::DriverDirectory>(*services_->registry, services_->paths, endpoint_.driver,
@@ -358,7 +358,7 @@ void RouteTable::on_record(const discovery::InstanceId& instance, const discover
 }
 
 /// Notes whether `where` chooses the instance: tuples for an instance that is there but not chosen do not wait for it.
-void RouteTable::on_verdict(const discovery::InstanceId& instance, std::optional<bool> chosen) {
+void RouteTable::on_choice(const discovery::InstanceId& instance, std::optional<bool> chosen) {
   const config::MutexLock lock(mutex_);
   if (chosen.value_or(true)) {
     unchosen_.erase(instance);

@@ -90,7 +90,7 @@ class RouteTable {
 
   void on_channel(const discovery::ChannelRecord& channel);
   void on_channel_gone(const discovery::ChannelRecord& channel);
-  void on_verdict(const discovery::InstanceId& instance, std::optional<bool> chosen);
+  void on_choice(const discovery::InstanceId& instance, std::optional<bool> chosen);
   void on_record(const discovery::InstanceId& instance, const discovery::DriverRecord* record);
   bool comes(std::string_view instance) const IOTCLOUD_REQUIRES(mutex_);
   Instant end_of_wait(std::string_view instance, Instant since) const IOTCLOUD_REQUIRES(mutex_);
@@ -122,8 +122,8 @@ class RouteTable {
   std::set<discovery::InstanceId, std::less<>> unchosen_ IOTCLOUD_GUARDED_BY(mutex_);  ///< exist but are not chosen
   std::map<SenderKey, std::weak_ptr<ChannelSender>> senders_ IOTCLOUD_GUARDED_BY(mutex_);
   std::size_t most_senders_ IOTCLOUD_GUARDED_BY(mutex_) = 64;  ///< the size at which expired entries are removed
-  /// The number of routes of each sender; guarded by mutex_.
-  std::map<std::shared_ptr<ChannelSender>, std::size_t> uses_;
+  /// The number of routes of each sender.
+  std::map<std::shared_ptr<ChannelSender>, std::size_t> uses_ IOTCLOUD_GUARDED_BY(mutex_);
   std::set<std::string> complained_ IOTCLOUD_GUARDED_BY(mutex_);
   std::map<discovery::InstanceId, std::deque<Waiting>, std::less<>> waiting_ IOTCLOUD_GUARDED_BY(mutex_);  ///< in order
   std::size_t waiting_count_ IOTCLOUD_GUARDED_BY(mutex_) = 0;

@@ -28,7 +28,7 @@ std::vector<DeclaredPlugin> declared(const ManifestDeployment&) {
 }
 
 Manifest read_fleet(const std::string& deployments, const std::string& csv = "") {
-  return read_manifest(config::Section::parse("fleet: lab\ndeployments:\n" + deployments, "fleet.yaml"), {},
+  return read_manifest(config::YamlSection::parse("fleet: lab\ndeployments:\n" + deployments, "fleet.yaml"), {},
                        [csv](const std::string&) { return csv; });
 }
 

@@ -18,7 +18,7 @@ using testing::SizeIs;
 using testing::UnorderedElementsAre;
 
 Manifest read(const std::string& text) {
-  return read_manifest(config::Section::parse(text, "fleet.yaml"));
+  return read_manifest(config::YamlSection::parse(text, "fleet.yaml"));
 }
 
 /// What is said of a manifest with these lines in its only deployment, which is good otherwise.
@@ -138,8 +138,8 @@ TEST(Manifest, OptionsOfChannelsAreChecked) {
 
 TEST(Manifest, APluginWithASlashIsAFileThatIsLookedFor) {
   const auto top = [](const std::string& plugin) {
-    return config::Section::parse("fleet: lab\ndeployments:\n  meter: {plugin: " + plugin + ", gateways: all}\n",
-                                  "fleet.yaml");
+    return config::YamlSection::parse("fleet: lab\ndeployments:\n  meter: {plugin: " + plugin + ", gateways: all}\n",
+                                      "fleet.yaml");
   };
   const auto find = [](const std::string& named) { return PluginFile{"/builds/" + named, std::string(64, 'a')}; };
   const auto sent = read_manifest(top("out/meter.so"), find).deployments.at(0);

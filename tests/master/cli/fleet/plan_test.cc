@@ -41,26 +41,26 @@ Fleet::Instance instance(const ManifestDeployment& from, const std::string& gate
   return there;
 }
 
-std::vector<std::string> words(const Plan& plan) {
+std::vector<std::string> words(const FleetPlan& plan) {
   std::vector<std::string> out;
   for (const auto& step : plan.steps)
     out.push_back(to_string(step.kind) + " " + step.gateway + " " + step.name + "/" + std::to_string(step.index));
   return out;
 }
 
-class FleetPlan : public testing::Test {
+class FleetPlanning : public testing::Test {
  protected:
-  FleetPlan() {
+  FleetPlanning() {
     fleet.gateways = {{"lab1"_gateway, false, false}, {"lab2"_gateway, false, false}};
     manifest.fleet = "lab";
   }
-  Plan plan(const PlanOptions& options = {}) const { return make_plan(manifest, fleet, options); }
+  FleetPlan plan(const FleetPlanOptions& options = {}) const { return make_plan(manifest, fleet, options); }
 
   Manifest manifest;
   Fleet fleet;
 };
 
-TEST_F(FleetPlan, WhatIsMissingIsDeployedAndOnlyThat) {
+TEST_F(FleetPlanning, WhatIsMissingIsDeployedAndOnlyThat) {
   manifest.deployments = {deployment("meter", {"lab1", "lab2"}, 2)};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 2)};
   const auto made = plan();
@@ -69,7 +69,7 @@ TEST_F(FleetPlan, WhatIsMissingIsDeployedAndOnlyThat) {
   EXPECT_THAT(made.problems, IsEmpty());
 }
 
-TEST_F(FleetPlan, AFleetAsTheManifestSaysNeedsNothing) {
+TEST_F(FleetPlanning, AFleetAsTheManifestSaysNeedsNothing) {
   manifest.deployments = {deployment("meter", {}, 3)};
   for (const char* gateway : {"lab1", "lab2"})
     for (int i = 1; i <= 3; ++i) fleet.instances.push_back(instance(manifest.deployments[0], gateway, i));
@@ -78,13 +78,13 @@ TEST_F(FleetPlan, AFleetAsTheManifestSaysNeedsNothing) {
   EXPECT_EQ(made.same, 6U);
 }
 
-TEST_F(FleetPlan, AllMeansEveryGatewayThatFollowsOrders) {
+TEST_F(FleetPlanning, AllMeansEveryGatewayThatFollowsOrders) {
   fleet.gateways.push_back({"java"_gateway, false, true});
   manifest.deployments = {deployment("meter", {})};
   EXPECT_THAT(words(plan()), ElementsAre("deploy lab1 meter/1", "deploy lab2 meter/1"));
 }
 
-TEST_F(FleetPlan, WhatTheManifestDeployedAndDoesNotNameAnyMoreGoesAndNothingElse) {
+TEST_F(FleetPlanning, WhatTheManifestDeployedAndDoesNotNameAnyMoreGoesAndNothingElse) {
   auto old = deployment("old", {"lab1"});
   manifest.deployments = {deployment("meter", {"lab1"}, 1)};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1),
@@ -102,7 +102,7 @@ TEST_F(FleetPlan, WhatTheManifestDeployedAndDoesNotNameAnyMoreGoesAndNothingElse
   EXPECT_THAT(kept.kept, SizeIs(3));
 }
 
-TEST_F(FleetPlan, OtherPropertiesAreAChangeThatSaysWhatDiffers) {
+TEST_F(FleetPlanning, OtherPropertiesAreAChangeThatSaysWhatDiffers) {
   manifest.deployments = {deployment("meter", {"lab1"})};
   auto there = instance(manifest.deployments[0], "lab1", 1);
   there.properties = {{"rate", "4"}, {"gone", "1"}};
@@ -114,7 +114,7 @@ TEST_F(FleetPlan, OtherPropertiesAreAChangeThatSaysWhatDiffers) {
   EXPECT_EQ(made.steps[0].instance, there.instance);
 }
 
-TEST_F(FleetPlan, ASecretThatIsHiddenIsTakenForWhatIsWanted) {
+TEST_F(FleetPlanning, ASecretThatIsHiddenIsTakenForWhatIsWanted) {
   manifest.deployments = {deployment("meter", {"lab1"})};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1)};
   fleet.instances[0].hidden = {"password"};
@@ -128,7 +128,7 @@ TEST_F(FleetPlan, ASecretThatIsHiddenIsTakenForWhatIsWanted) {
   EXPECT_THAT(plan().steps.at(0).what, ElementsAre("password: *** -> -"));
 }
 
-TEST_F(FleetPlan, SecretsAreNotShown) {
+TEST_F(FleetPlanning, SecretsAreNotShown) {
   manifest.deployments = {deployment("meter", {"lab1"})};
   auto there = instance(manifest.deployments[0], "lab1", 1);
   there.properties["api_Token"] = "old secret";
@@ -137,7 +137,7 @@ TEST_F(FleetPlan, SecretsAreNotShown) {
   EXPECT_THAT(plan().steps.at(0).what, ElementsAre("api_Token: *** -> ***"));
 }
 
-TEST_F(FleetPlan, OtherMetadataIsChangedInPlaceByKeys) {
+TEST_F(FleetPlanning, OtherMetadataIsChangedInPlaceByKeys) {
   manifest.deployments = {deployment("meter", {"lab1"})};
   auto there = instance(manifest.deployments[0], "lab1", 1);
   there.metadata = {{"site", "roof"}, {"note", "x"}};
@@ -147,7 +147,7 @@ TEST_F(FleetPlan, OtherMetadataIsChangedInPlaceByKeys) {
   EXPECT_THAT(made.steps[0].metadata, UnorderedElementsAre(Pair("site", "lab"), Pair("note", "")));
 }
 
-TEST_F(FleetPlan, AnotherStateIsStartedOrStopped) {
+TEST_F(FleetPlanning, AnotherStateIsStartedOrStopped) {
   manifest.deployments = {deployment("a", {"lab1"}), deployment("b", {"lab1"})};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[1], "lab1", 1)};
   fleet.instances[0].active = false;
@@ -155,7 +155,7 @@ TEST_F(FleetPlan, AnotherStateIsStartedOrStopped) {
   EXPECT_THAT(words(plan()), ElementsAre("stop lab1 b/1", "start lab1 a/1"));
 }
 
-TEST_F(FleetPlan, AnInstanceThatFailedIsStartedAgainUnlessItIsMadeAnewOrMayNotRun) {
+TEST_F(FleetPlanning, AnInstanceThatFailedIsStartedAgainUnlessItIsMadeAnewOrMayNotRun) {
   manifest.deployments = {deployment("a", {"lab1"}), deployment("b", {"lab1"}), deployment("c", {"lab2"})};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[1], "lab1", 1),
                      instance(manifest.deployments[2], "lab2", 1)};
@@ -167,7 +167,7 @@ TEST_F(FleetPlan, AnInstanceThatFailedIsStartedAgainUnlessItIsMadeAnewOrMayNotRu
   EXPECT_THAT(made.steps[1].what, ElementsAre("it failed: no device"));
 }
 
-TEST_F(FleetPlan, AnotherPluginIsAnUpdateAndAnotherDriverAReplacement) {
+TEST_F(FleetPlanning, AnotherPluginIsAnUpdateAndAnotherDriverAReplacement) {
   manifest.deployments = {deployment("a", {"lab1"}), deployment("b", {"lab1"}), deployment("c", {"lab1"})};
   for (const auto& one : manifest.deployments) fleet.instances.push_back(instance(one, "lab1", 1));
   fleet.instances[0].plugin = "old.so";
@@ -182,14 +182,14 @@ TEST_F(FleetPlan, AnotherPluginIsAnUpdateAndAnotherDriverAReplacement) {
   EXPECT_THAT(made.steps[2].what, ElementsAre("plugin: old.so -> meter.so"));
 }
 
-TEST_F(FleetPlan, ADriversNameThatNoManifestGaveStays) {
+TEST_F(FleetPlanning, ADriversNameThatNoManifestGaveStays) {
   manifest.deployments = {deployment("a", {"lab1"})};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1)};
   fleet.instances[0].driver = "meter"_driver;  // an update has written it down
   EXPECT_THAT(plan().steps, IsEmpty());
 }
 
-TEST_F(FleetPlan, WhatElseDiffersComesBehindTheUpdateAndOneThatFailedIsNotStartedBesides) {
+TEST_F(FleetPlanning, WhatElseDiffersComesBehindTheUpdateAndOneThatFailedIsNotStartedBesides) {
   manifest.deployments = {deployment("meter", {"lab1"}, 2)};
   for (int i = 1; i <= 2; ++i) {
     fleet.instances.push_back(instance(manifest.deployments[0], "lab1", i));
@@ -203,7 +203,7 @@ TEST_F(FleetPlan, WhatElseDiffersComesBehindTheUpdateAndOneThatFailedIsNotStarte
   EXPECT_EQ(plan().same, 0U);
 }
 
-TEST_F(FleetPlan, ALostGatewayIsNotUpdatedAndTheOthersAre) {
+TEST_F(FleetPlanning, ALostGatewayIsNotUpdatedAndTheOthersAre) {
   manifest.deployments = {deployment("meter", {})};
   fleet.gateways[0].lost = true;
   for (const auto* gateway : {"lab1", "lab2"}) {
@@ -217,7 +217,7 @@ TEST_F(FleetPlan, ALostGatewayIsNotUpdatedAndTheOthersAre) {
   EXPECT_THAT(made.problems[0].text, HasSubstr("the gateway is lost"));
 }
 
-TEST_F(FleetPlan, OtherBytesUnderOneNameAreAnotherPlugin) {
+TEST_F(FleetPlanning, OtherBytesUnderOneNameAreAnotherPlugin) {
   const std::string one(64, '1'), two(64, '2');
   manifest.deployments = {deployment("meter", {"lab1"}, 2)};
   manifest.deployments[0].sha256 = one;
@@ -230,7 +230,7 @@ TEST_F(FleetPlan, OtherBytesUnderOneNameAreAnotherPlugin) {
   EXPECT_THAT(plan().steps.at(0).what, ElementsAre("plugin: meter.so (111111111111) -> meter.so (222222222222)"));
 }
 
-TEST_F(FleetPlan, WhatOthersDeployedUnderANameOfItsIsAProblemUntilItMayBeAdopted) {
+TEST_F(FleetPlanning, WhatOthersDeployedUnderANameOfItsIsAProblemUntilItMayBeAdopted) {
   manifest.deployments = {deployment("meter", {"lab1"}, 2)};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1, ""),
                      instance(manifest.deployments[0], "lab1", 2, "other")};
@@ -245,7 +245,7 @@ TEST_F(FleetPlan, WhatOthersDeployedUnderANameOfItsIsAProblemUntilItMayBeAdopted
   EXPECT_THAT(words(adopting), ElementsAre("adopt lab1 meter/1", "adopt lab1 meter/2", "start lab1 meter/1"));
 }
 
-TEST_F(FleetPlan, AGatewayThatDrainsKeepsWhatItHasAndGetsNothingNew) {
+TEST_F(FleetPlanning, AGatewayThatDrainsKeepsWhatItHasAndGetsNothingNew) {
   fleet.gateways[0].draining = true;
   manifest.deployments = {deployment("meter", {}, 2)};
   fleet.instances = {instance(manifest.deployments[0], "lab1", 1), instance(manifest.deployments[0], "lab2", 1),
@@ -265,7 +265,7 @@ TEST_F(FleetPlan, AGatewayThatDrainsKeepsWhatItHasAndGetsNothingNew) {
   EXPECT_THAT(words(plan()), ElementsAre("update lab2 meter/1", "update lab2 meter/2"));
 }
 
-TEST_F(FleetPlan, AGatewayThatCannotBeUsedIsAProblemAndTheOthersAreServed) {
+TEST_F(FleetPlanning, AGatewayThatCannotBeUsedIsAProblemAndTheOthersAreServed) {
   fleet.gateways.push_back({"java"_gateway, false, true});
   manifest.deployments = {deployment("meter", {"lab3", "java", "lab1"})};
   const auto made = plan();
@@ -275,7 +275,7 @@ TEST_F(FleetPlan, AGatewayThatCannotBeUsedIsAProblemAndTheOthersAreServed) {
   EXPECT_THAT(made.problems[1].text, HasSubstr("original system"));
 }
 
-TEST_F(FleetPlan, OnAGatewayInstancesGoBeforeOthersCome) {
+TEST_F(FleetPlanning, OnAGatewayInstancesGoBeforeOthersCome) {
   manifest.deployments = {deployment("a", {}), deployment("b", {"lab1"})};
   fleet.instances = {instance(deployment("z", {}), "lab1", 1), instance(manifest.deployments[1], "lab1", 1),
                      instance(deployment("z", {}), "lab2", 1)};

@@ -1,11 +1,11 @@
 #include <fmt/format.h>
 
-#include <iotcloud/master/orders/verdict.h>
+#include <iotcloud/master/orders/reasoned_outcome.h>
 
 namespace iotcloud::master {
 
-Verdict without_report(const discovery::Registry& registry, std::chrono::milliseconds limit, bool stopped,
-                       const std::string& last_state) {
+ReasonedOutcome without_report(const discovery::Registry& registry, std::chrono::milliseconds limit, bool stopped,
+                               const std::string& last_state) {
   if (stopped) return {OrderOutcome::unknown, "this master is stopping; the order stands"};
   std::string text =
       registry.session() == discovery::SessionState::connected

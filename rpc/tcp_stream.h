@@ -18,7 +18,7 @@ class TlsContext;
 namespace iotcloud::rpc {
 
 /// Why a connection ended.
-class StreamError : public std::runtime_error {
+class TcpStreamError : public std::runtime_error {
  public:
   enum class Kind {
     ended,      ///< the other side closed it
@@ -26,7 +26,7 @@ class StreamError : public std::runtime_error {
     tls,        ///< one side does not trust the other's certificate, or the other side lacks TLS 1.2
     broken,     ///< the network failed, or cut() was called
   };
-  StreamError(Kind kind, const std::string& text) : std::runtime_error(text), kind_(kind) {}
+  TcpStreamError(Kind kind, const std::string& text) : std::runtime_error(text), kind_(kind) {}
   Kind kind() const { return kind_; }
 
  private:
@@ -35,27 +35,27 @@ class StreamError : public std::runtime_error {
 
 /// A TCP connection whose every wait has a deadline, with or without TLS. A peer that sends byte by byte does not
 /// prolong a deadline. One thread uses it, but any thread may call cut() and cut_reading(). Never raises SIGPIPE.
-class Stream {
+class TcpStream {
  public:
   using Clock = std::chrono::steady_clock;
   static constexpr Clock::time_point never = Clock::time_point::max();
 
   /// Owns the connected socket from now on. `tls` must outlive it; nullptr: no TLS. Sends nothing yet.
-  Stream(int descriptor, const security::TlsContext* tls);
+  TcpStream(int descriptor, const security::TlsContext* tls);
   /// Closes the connection. With TLS it sends close_notify, but does not wait for the peer's.
-  ~Stream();
-  Stream(const Stream&) = delete;
-  Stream& operator=(const Stream&) = delete;
+  ~TcpStream();
+  TcpStream(const TcpStream&) = delete;
+  TcpStream& operator=(const TcpStream&) = delete;
 
-  /// Connects within the deadline; with TLS the server must prove that it is `host`. \throws StreamError
-  static std::unique_ptr<Stream> connect(const std::string& host, int port, const security::TlsContext* tls,
-                                         Clock::time_point deadline);
-  /// The server's side of the TLS handshake; without TLS it does nothing. \throws StreamError
+  /// Connects within the deadline; with TLS the server must prove that it is `host`. \throws TcpStreamError
+  static std::unique_ptr<TcpStream> connect(const std::string& host, int port, const security::TlsContext* tls,
+                                            Clock::time_point deadline);
+  /// The server's side of the TLS handshake; without TLS it does nothing. \throws TcpStreamError
   void accept(Clock::time_point deadline);
 
-  /// \return from 1 to `size` bytes. \throws StreamError
+  /// \return from 1 to `size` bytes. \throws TcpStreamError
   std::size_t read_some(void* to, std::size_t size, Clock::time_point deadline);
-  /// \throws StreamError
+  /// \throws TcpStreamError
   void write_all(const void* from, std::size_t size, Clock::time_point deadline);
 
   /// Ends every current and later operation of this connection with an error. Any thread.
@@ -78,7 +78,7 @@ class Stream {
   void begin_tls(const security::TlsContext& context);
   void shake_hands(Clock::time_point deadline);
   void wait(short events, Clock::time_point deadline) const;
-  /// Waits until an OpenSSL call that returned `result` can be repeated. \throws StreamError
+  /// Waits until an OpenSSL call that returned `result` can be repeated. \throws TcpStreamError
   void after_tls(int result, Clock::time_point deadline);
 
   const int descriptor_;

@@ -17,12 +17,12 @@
 #include <unistd.h>
 
 #include <iotcloud/rpc/peer_user.h>
-#include <iotcloud/rpc/stream.h>
+#include <iotcloud/rpc/tcp_stream.h>
 #include <iotcloud/security/tls.h>
 
 namespace iotcloud::rpc {
 
-using Kind = StreamError::Kind;
+using Kind = TcpStreamError::Kind;
 
 namespace {
 
@@ -62,7 +62,7 @@ BIO_METHOD* bio_method() {
 }
 
 /// The error for a failed read or write. A peer that disconnected is reported as a reset on some systems.
-StreamError error_of(int problem) {
+TcpStreamError error_of(int problem) {
   if (problem == ECONNRESET || problem == EPIPE) return {Kind::ended, "the connection was closed"};
   return {Kind::broken, std::strerror(problem)};
 }
@@ -82,7 +82,7 @@ void set_options(int descriptor) {
 
 }  // namespace
 
-struct Stream::Tls {
+struct TcpStream::Tls {
   explicit Tls(SSL* s) : ssl(s) {}
   ~Tls() {
     if (usable) {
@@ -98,22 +98,22 @@ struct Stream::Tls {
   bool usable = false;  ///< true from the handshake until the first error
 };
 
-Stream::Stream(int descriptor, const security::TlsContext* tls) : descriptor_(descriptor), context_(tls) {
+TcpStream::TcpStream(int descriptor, const security::TlsContext* tls) : descriptor_(descriptor), context_(tls) {
   set_options(descriptor);
 }
 
-Stream::~Stream() {
+TcpStream::~TcpStream() {
   tls_.reset();
   close(descriptor_);
 }
 
-void Stream::wait(short events, Clock::time_point deadline) const {
+void TcpStream::wait(short events, Clock::time_point deadline) const {
   using namespace std::chrono;
   while (true) {
     int limit = -1;
     if (deadline != never) {
       const auto left = ceil<milliseconds>(deadline - Clock::now()).count();
-      if (left <= 0) throw StreamError(Kind::timed_out, "nothing came in time");
+      if (left <= 0) throw TcpStreamError(Kind::timed_out, "nothing came in time");
       limit = static_cast<int>(std::min<milliseconds::rep>(left, 3'600'000));
     }
     pollfd waiting{descriptor_, events, 0};
@@ -121,13 +121,13 @@ void Stream::wait(short events, Clock::time_point deadline) const {
   }
 }
 
-void Stream::begin_tls(const security::TlsContext& context) {
+void TcpStream::begin_tls(const security::TlsContext& context) {
   ERR_clear_error();
   SSL* const ssl = SSL_new(context.get());
-  if (ssl == nullptr) throw StreamError(Kind::tls, security::tls_error());
+  if (ssl == nullptr) throw TcpStreamError(Kind::tls, security::tls_error());
   tls_ = std::make_unique<Tls>(ssl);
   BIO* const bio = BIO_new(bio_method());
-  if (bio == nullptr) throw StreamError(Kind::tls, security::tls_error());
+  if (bio == nullptr) throw TcpStreamError(Kind::tls, security::tls_error());
   // A BIO keeps a pointer for its owner: here it holds the descriptor's number.
   BIO_set_data(bio,
                reinterpret_cast<void*>(static_cast<std::intptr_t>(descriptor_)));  // NOLINT(performance-no-int-to-ptr)
@@ -135,7 +135,7 @@ void Stream::begin_tls(const security::TlsContext& context) {
   SSL_set_bio(ssl, bio, bio);  // `ssl` owns the BIO from here on
 }
 
-void Stream::shake_hands(Clock::time_point deadline) {
+void TcpStream::shake_hands(Clock::time_point deadline) {
   while (true) {
     ERR_clear_error();
     const int result = SSL_do_handshake(tls_->ssl);
@@ -145,7 +145,7 @@ void Stream::shake_hands(Clock::time_point deadline) {
   tls_->usable = true;
 }
 
-void Stream::after_tls(int result, Clock::time_point deadline) {
+void TcpStream::after_tls(int result, Clock::time_point deadline) {
   const int problem = errno;
   switch (SSL_get_error(tls_->ssl, result)) {
     case SSL_ERROR_WANT_READ:
@@ -153,10 +153,10 @@ void Stream::after_tls(int result, Clock::time_point deadline) {
     case SSL_ERROR_WANT_WRITE:
       return wait(POLLOUT, deadline);
     case SSL_ERROR_ZERO_RETURN:
-      throw StreamError(Kind::ended, "the connection was closed");
+      throw TcpStreamError(Kind::ended, "the connection was closed");
     case SSL_ERROR_SYSCALL:
       tls_->usable = false;
-      if (problem == 0) throw StreamError(Kind::ended, "the connection was closed");
+      if (problem == 0) throw TcpStreamError(Kind::ended, "the connection was closed");
       throw error_of(problem);
     default:
       break;
@@ -165,25 +165,25 @@ void Stream::after_tls(int result, Clock::time_point deadline) {
   const bool end = ERR_GET_REASON(ERR_peek_error()) == SSL_R_UNEXPECTED_EOF_WHILE_READING;
   const long verdict = SSL_get_verify_result(tls_->ssl);
   const std::string text = security::tls_error();
-  if (end) throw StreamError(Kind::ended, "the connection was closed");
-  if (verdict == X509_V_OK) throw StreamError(Kind::tls, "TLS: " + text);
-  throw StreamError(Kind::tls, fmt::format("TLS: {} ({})", text, X509_verify_cert_error_string(verdict)));
+  if (end) throw TcpStreamError(Kind::ended, "the connection was closed");
+  if (verdict == X509_V_OK) throw TcpStreamError(Kind::tls, "TLS: " + text);
+  throw TcpStreamError(Kind::tls, fmt::format("TLS: {} ({})", text, X509_verify_cert_error_string(verdict)));
 }
 
-void Stream::accept(Clock::time_point deadline) {
+void TcpStream::accept(Clock::time_point deadline) {
   if (context_ == nullptr) return;
   begin_tls(*context_);
   SSL_set_accept_state(tls_->ssl);
   shake_hands(deadline);
 }
 
-std::unique_ptr<Stream> Stream::connect(const std::string& host, int port, const security::TlsContext* tls,
-                                        Clock::time_point deadline) {
+std::unique_ptr<TcpStream> TcpStream::connect(const std::string& host, int port, const security::TlsContext* tls,
+                                              Clock::time_point deadline) {
   addrinfo hints{};
   hints.ai_socktype = SOCK_STREAM;
   addrinfo* found = nullptr;
   if (const int error = getaddrinfo(host.c_str(), std::to_string(port).c_str(), &hints, &found); error != 0)
-    throw StreamError(Kind::broken, gai_strerror(error));
+    throw TcpStreamError(Kind::broken, gai_strerror(error));
   const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> all(found, freeaddrinfo);
   int problem = EADDRNOTAVAIL;
   for (const addrinfo* one = found; one != nullptr; one = one->ai_next) {
@@ -192,7 +192,7 @@ std::unique_ptr<Stream> Stream::connect(const std::string& host, int port, const
       problem = errno;
       continue;
     }
-    auto stream = std::make_unique<Stream>(descriptor, tls);
+    auto stream = std::make_unique<TcpStream>(descriptor, tls);
     if (::connect(descriptor, one->ai_addr, one->ai_addrlen) != 0 && errno != EINPROGRESS) {
       problem = errno;
       continue;
@@ -209,10 +209,10 @@ std::unique_ptr<Stream> Stream::connect(const std::string& host, int port, const
     stream->shake_hands(deadline);
     return stream;
   }
-  throw StreamError(Kind::broken, std::strerror(problem));
+  throw TcpStreamError(Kind::broken, std::strerror(problem));
 }
 
-std::size_t Stream::read_some(void* to, std::size_t size, Clock::time_point deadline) {
+std::size_t TcpStream::read_some(void* to, std::size_t size, Clock::time_point deadline) {
   if (tls_) {
     while (true) {
       std::size_t got = 0;
@@ -225,13 +225,13 @@ std::size_t Stream::read_some(void* to, std::size_t size, Clock::time_point dead
   while (true) {
     const auto got = recv(descriptor_, to, size, 0);
     if (got > 0) return static_cast<std::size_t>(got);
-    if (got == 0) throw StreamError(Kind::ended, "the connection was closed");
+    if (got == 0) throw TcpStreamError(Kind::ended, "the connection was closed");
     if (errno != EAGAIN && errno != EINTR) throw error_of(errno);
     wait(POLLIN, deadline);
   }
 }
 
-void Stream::write_all(const void* from, std::size_t size, Clock::time_point deadline) {
+void TcpStream::write_all(const void* from, std::size_t size, Clock::time_point deadline) {
   const auto* next = static_cast<const char*>(from);
   while (size > 0) {
     std::size_t sent = 0;
@@ -256,23 +256,23 @@ void Stream::write_all(const void* from, std::size_t size, Clock::time_point dea
   }
 }
 
-void Stream::cut() {
+void TcpStream::cut() {
   shutdown(descriptor_, SHUT_RDWR);
 }
 
-void Stream::cut_reading() {
+void TcpStream::cut_reading() {
   shutdown(descriptor_, SHUT_RD);
 }
 
-std::shared_ptr<x509_st> Stream::peer_x509() const {
+std::shared_ptr<x509_st> TcpStream::peer_x509() const {
   return {tls_ ? SSL_get1_peer_certificate(tls_->ssl) : nullptr, X509_free};
 }
 
-std::optional<uid_t> Stream::peer_user() const {
+std::optional<uid_t> TcpStream::peer_user() const {
   return rpc::peer_user(descriptor_);
 }
 
-std::string Stream::peer_address() const {
+std::string TcpStream::peer_address() const {
   sockaddr_storage address{};
   socklen_t size = sizeof address;
   std::array<char, NI_MAXHOST> host{};
@@ -284,11 +284,11 @@ std::string Stream::peer_address() const {
   return fmt::format("{}:{}", host.data(), port.data());
 }
 
-std::string Stream::peer_certificate() const {
+std::string TcpStream::peer_certificate() const {
   return tls_ ? security::peer_subject(tls_->ssl) : "";
 }
 
-bool Stream::is_peer_gateway(const std::string& id) const {
+bool TcpStream::is_peer_gateway(const std::string& id) const {
   return tls_ && security::is_peer_gateway(tls_->ssl, id);
 }
 
