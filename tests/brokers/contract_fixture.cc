@@ -204,6 +204,19 @@ Message text_message(const std::string& body) {
   return message;
 }
 
+void publish_numbers(Publisher& publisher, int from, int to) {
+  for (const auto& body : numbered(from, to)) {
+    ASSERT_EQ(publisher.publish(text_message(body)), PublishStatus::accepted) << body;
+  }
+}
+
+void expect_arrivals(Publisher& publisher, Inbox& inbox, int from) {
+  constexpr int count = 3;
+  publish_numbers(publisher, from, from + count - 1);
+  EXPECT_TRUE(inbox.wait_for(count));
+  EXPECT_EQ(inbox.bodies(), numbered(from, from + count - 1));
+}
+
 void BrokerContract::SetUp() {
   auto& known = servers()[GetParam()];
   if (!known) known = make_server(GetParam());

@@ -130,6 +130,10 @@ using tests::eventually;  // for the tests that include this: NOLINT(misc-unused
 /// "1", "2", ... for messages' bodies, from `from` to `to` inclusive.
 std::vector<std::string> numbered(int from, int to);
 Message text_message(const std::string& body);
+/// Publishes messages with the bodies `numbered(from, to)`; each must be accepted at once.
+void publish_numbers(Publisher& publisher, int from, int to);
+/// Publishes three numbered messages, and checks that the inbox gets these and has no others.
+void expect_arrivals(Publisher& publisher, Inbox& inbox, int from);
 
 /// Every test runs on each kind of broker; all tests of a kind share one server, which runs when a test starts.
 class BrokerContract : public testing::TestWithParam<std::string> {

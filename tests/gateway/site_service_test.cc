@@ -45,6 +45,17 @@ class SiteServiceTest : public GatewayFixture {
     service_.reset();
   }
 
+  /// Starts the service again, with an audit log.
+  void restart_with_audit(const security::AuditSettings& audit) {
+    transport_->close();
+    service_.reset();
+    SiteService::Options options;
+    options.listen.port = 0;
+    options.audit = audit;
+    service_.emplace(options, *gateway_, *registry_, paths_);
+    connect();
+  }
+
   void connect() {
     namespace thrift = apache::thrift;
     transport_ = std::make_shared<thrift::transport::TFramedTransport>(
@@ -96,13 +107,9 @@ TEST_F(SiteServiceTest, AGatewayThatHasNotItsPlaceYetTakesNoOrders) {
 
 TEST_F(SiteServiceTest, TheGatewayWritesDownWhoGaveItOrders) {
   const security::test::Folder folder;
-  transport_->close();
-  service_.reset();
-  SiteService::Options options;
-  options.listen.port = 0;
-  options.audit.file = folder / "audit.log";
-  service_.emplace(options, *gateway_, *registry_, paths_);
-  connect();
+  security::AuditSettings audit;
+  audit.file = folder / "audit.log";
+  restart_with_audit(audit);
   const auto deployed = deploy();
   EXPECT_EQ(deployed.state, TResponseState::SUCCESS);
   discovery::wire::THandedMessage message;
@@ -111,14 +118,14 @@ TEST_F(SiteServiceTest, TheGatewayWritesDownWhoGaveItOrders) {
   message.__set_payload("on");
   discovery::wire::TChannelLook look;
   client_->handMessage(look, message);
-  std::ifstream in(options.audit.file);
+  std::ifstream in(audit.file);
   std::vector<std::string> lines;
   for (std::string line; std::getline(in, line);) lines.push_back(line);
   ASSERT_EQ(lines.size(), 4u);
   EXPECT_THAT(lines[2], testing::AllOf(HasSubstr("handMessage"), HasSubstr("2 bytes for channel control of")));
   EXPECT_THAT(lines[0], testing::AllOf(HasSubstr("\"event\":\"begun\""), HasSubstr("probe.so")));
   EXPECT_THAT(lines[1], testing::AllOf(HasSubstr("\"event\":\"ended\""), HasSubstr("done")));
-  EXPECT_TRUE(security::verify_audit({options.audit.file}, {}).findings.empty());
+  EXPECT_TRUE(security::verify_audit({audit.file}, {}).findings.empty());
 }
 
 /// What a gateway says to a call of each method that its audit log has, about an instance. By method; empty: nothing.
@@ -168,16 +175,12 @@ std::set<std::string> audited_methods() {
 
 TEST_F(SiteServiceTest, EachOrderIsWrittenDownOnceBeforeItsEffectAndOnceAfterIt) {
   const security::test::Folder folder;
-  transport_->close();
-  service_.reset();
-  SiteService::Options options;
-  options.listen.port = 0;
-  options.audit.file = folder / "audit.log";
-  service_.emplace(options, *gateway_, *registry_, paths_);
-  connect();
+  security::AuditSettings audit;
+  audit.file = folder / "audit.log";
+  restart_with_audit(audit);
   answers_to_orders(*client_, "00000000-0000-0000-0000-000000000000");
   std::vector<std::string> order;
-  std::ifstream in(options.audit.file);
+  std::ifstream in(audit.file);
   for (std::string line; std::getline(in, line);) {
     std::smatch found;
     ASSERT_TRUE(std::regex_search(line, found, std::regex(R"re("event":"(\w+)".*"order":"(\w+)")re"))) << line;
@@ -197,15 +200,11 @@ TEST_F(SiteServiceTest, WithAFullDiskEveryOrderIsRefusedIfTheSettingsSaySoAndEls
   ASSERT_EQ(before->state, DriverState::active);
   for (const bool refuse : {true, false}) {
     const security::test::Folder folder;
-    transport_->close();
-    service_.reset();
-    SiteService::Options options;
-    options.listen.port = 0;
-    options.audit.file = folder / "audit.log";
-    std::filesystem::create_symlink("/dev/full", options.audit.file);
-    if (refuse) options.audit.when_full = security::AuditSettings::WhenFull::refuse;
-    service_.emplace(options, *gateway_, *registry_, paths_);
-    connect();
+    security::AuditSettings audit;
+    audit.file = folder / "audit.log";
+    std::filesystem::create_symlink("/dev/full", audit.file);
+    if (refuse) audit.when_full = security::AuditSettings::WhenFull::refuse;
+    restart_with_audit(audit);
     std::set<std::string> methods;
     for (const auto& [method, answer] : answers_to_orders(*client_, id)) {
       methods.insert(method);

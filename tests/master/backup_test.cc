@@ -354,6 +354,18 @@ class ForeignOrders : public testing::Test {
     selection.instances = {deployed.outcomes.at(0).instance};
     return selection;
   }
+  /// An instance that was deployed and then stopped, and its order from before it was stopped.
+  struct Stopped {
+    InstanceSelection selection;
+    std::string path, old;
+  };
+  Stopped deploy_and_stop() {
+    const InstanceSelection selection = deploy_one();
+    const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
+    const auto old = standing(path);
+    EXPECT_TRUE(master_->stop(selection).all_done());
+    return {selection, path, old};
+  }
   std::string standing(const std::string& path) { return master_.registry().get(path).value().data; }
   void write(const std::string& path, const std::string& bytes) { discovery::put(master_.registry(), path, bytes); }
 
@@ -430,10 +442,7 @@ TEST_F(ForeignOrders, ThatAMasterSignedLongAgoAreNotSignedAnewBecauseSomebodyCha
 
 TEST_F(ForeignOrders, ThatAPersonAdoptsAsTheyStandAreChangedAgain) {
   ASSERT_TRUE(master_.leads());
-  const InstanceSelection selection = deploy_one();
-  const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
-  const auto old = standing(path);
-  ASSERT_TRUE(master_->stop(selection).all_done());
+  const auto [selection, path, old] = deploy_and_stop();
   write(path, old);  // the registry was put back to an earlier state, and the gateway is frozen
   const auto mark = discovery::freeze_path(paths_, "lab1"_gateway);
   write(mark, encode(discovery::FreezeRecord{"it was put back", 5, "token"}));
@@ -446,10 +455,7 @@ TEST_F(ForeignOrders, ThatAPersonAdoptsAsTheyStandAreChangedAgain) {
 
 TEST_F(ForeignOrders, ThatAPersonAdoptsAreChangedAgainAlsoByAMasterThatDidNotThawTheGateway) {
   ASSERT_TRUE(master_.leads());
-  const InstanceSelection selection = deploy_one();
-  const auto path = paths_.order("lab1"_gateway, selection.instances.at(0));
-  const auto old = standing(path);
-  ASSERT_TRUE(master_->stop(selection).all_done());
+  const auto [selection, path, old] = deploy_and_stop();
   write(path, old);  // another master led meanwhile, and adopted the registry that was put back
   const auto refused = master_->stop(selection);
   ASSERT_THAT(refused.outcomes, SizeIs(1)) << refused.summary();

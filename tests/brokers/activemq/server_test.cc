@@ -34,11 +34,6 @@ class ActiveMqServer : public testing::Test {
     const std::string test = testing::UnitTest::GetInstance()->current_test_info()->name();
     return {"", "gw.driver." + test, durable};
   }
-  static void publish_numbers(Publisher& publisher, int from, int to) {
-    for (const std::string& body : numbered(from, to)) {
-      ASSERT_EQ(publisher.publish(text_message(body)), PublishStatus::accepted);
-    }
-  }
   /// Publishes one more message once the last one has its outcome, however long that takes: publishers have limits.
   static void publish_next(Publisher& publisher, int& sent) {
     if (publisher.pending() > 0) return;

@@ -209,13 +209,8 @@ TEST_F(KafkaUsers, GatewaysAndWorkersGetEachOthersMessages) {
     read.push_back(workers->subscribe(data, of_task, at_workers.handler()));
   }
   read.push_back(gateway->subscribe(control, {}, at_gateway.handler()));
-  for (const auto& body : numbered(1, 3)) EXPECT_EQ(sends_data->publish(text_message(body)), PublishStatus::accepted);
-  for (const auto& body : numbered(4, 6))
-    EXPECT_EQ(sends_control->publish(text_message(body)), PublishStatus::accepted);
-  EXPECT_TRUE(at_workers.wait_for(3));
-  EXPECT_TRUE(at_gateway.wait_for(3));
-  EXPECT_THAT(at_workers.bodies(), testing::ElementsAre("1", "2", "3"));
-  EXPECT_THAT(at_gateway.bodies(), testing::ElementsAre("4", "5", "6"));
+  expect_arrivals(*sends_data, at_workers, 1);
+  expect_arrivals(*sends_control, at_gateway, 4);
 }
 
 TEST_F(KafkaUsers, TheThiefOfAGatewayNeitherSendsAsAnotherOneNorReadsItsMessages) {

@@ -59,11 +59,6 @@ class RabbitMqServer : public BrokerContract {
     EXPECT_TRUE(eventually([&] { return (answer = link->next_frame()).has_value(); }));
     return answer && answer->payload.method.id == AMQP_QUEUE_DECLARE_OK_METHOD;
   }
-  static void publish_numbers(Publisher& publisher, int from, int to) {
-    for (int i = from; i <= to; ++i) {
-      ASSERT_EQ(publisher.publish(text_message(std::to_string(i))), PublishStatus::accepted);
-    }
-  }
 };
 
 INSTANTIATE_TEST_SUITE_P(On, RabbitMqServer, testing::Values("rabbitmq"), [](const auto& kind) { return kind.param; });

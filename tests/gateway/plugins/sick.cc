@@ -4,7 +4,6 @@
 #include <fstream>
 #include <memory>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include <unistd.h>
@@ -52,7 +51,7 @@ class SickDriver final : public drivers::Driver {
       std::signal(SIGSEGV, SIG_DFL);  // a sanitizer's handler would write its report
       std::raise(SIGSEGV);
     } else if (illness_ == "hang") {
-      for (;;) std::this_thread::sleep_for(1h);
+      for (;;) ::pause();
     } else if (illness_ == "leak") {
       leak();
     } else if (illness_ == "spin") {

@@ -140,28 +140,46 @@ class Endpoints : public ::testing::Test {
   /// Shows a driver in the registry as a gateway would.
   void show_driver(const std::string& instance, const std::string& transport = "rabbitmq",
                    discovery::DriverState state = discovery::DriverState::active) {
+    show_channel(instance, "up", discovery::Direction::out, transport);
+    show_channel(instance, "down", discovery::Direction::in, transport);
+    put_driver(driver_record(instance, state));
+  }
+  /// The record of a driver without channels; it is not in the registry.
+  static discovery::DriverRecord driver_record(const std::string& instance,
+                                               discovery::DriverState state = discovery::DriverState::active) {
     discovery::DriverRecord driver;
     driver.name = "d"_driver;
     driver.instance = discovery::InstanceId(instance);
     driver.gateway = "g"_gateway;
     driver.state = state;
-    show_channel(instance, "up", discovery::Direction::out, transport);
-    show_channel(instance, "down", discovery::Direction::in, transport);
-    discovery::put(*registry_, paths_.instance("d"_driver, discovery::InstanceId(instance)), discovery::encode(driver));
+    return driver;
+  }
+  void put_driver(const discovery::DriverRecord& driver) {
+    discovery::put(*registry_, paths_.instance("d"_driver, driver.instance), discovery::encode(driver));
   }
   /// One channel of a driver.
   void show_channel(const std::string& instance, const std::string& name, discovery::Direction direction,
                     const std::string& transport = "rabbitmq") {
+    discovery::ChannelRecord channel = channel_record(instance, name, direction, transport);
+    channel.properties = {{"routingKey", name}};
+    put_channel(channel);
+  }
+  /// The record of a channel at the fixture's broker. It names no topic yet, and is not in the registry.
+  discovery::ChannelRecord channel_record(const std::string& instance, const std::string& name,
+                                          discovery::Direction direction,
+                                          const std::string& transport = "rabbitmq") const {
     discovery::ChannelRecord channel;
     channel.name = name;
     channel.transport = transport;
     channel.direction = direction;
-    channel.properties = {{"routingKey", name}};
     channel.broker_url = broker_url_;
     channel.gateway = "g"_gateway;
     channel.driver = "d"_driver;
     channel.instance = discovery::InstanceId(instance);
-    discovery::put(*registry_, paths_.channel("d"_driver, channel.instance, name), discovery::encode(channel));
+    return channel;
+  }
+  void put_channel(const discovery::ChannelRecord& channel) {
+    discovery::put(*registry_, paths_.channel("d"_driver, channel.instance, channel.name), discovery::encode(channel));
   }
   static std::string topic(const std::string& instance, const std::string& channel) {
     return "g.d." + instance + "." + channel;

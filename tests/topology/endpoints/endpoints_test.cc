@@ -114,11 +114,7 @@ TEST_F(Endpoints, SayWhichChannelsThereAreWhenNoInstanceHasTheOneThatASpoutNames
       "time]}\n"
       "bolts:\n  gate: {class: Gate, inputs: {from: in}}\n",
       std::move(components));
-  discovery::DriverRecord driver;
-  driver.name = "d"_driver;
-  driver.instance = "one"_instance;
-  driver.gateway = "g"_gateway;
-  driver.state = discovery::DriverState::active;
+  discovery::DriverRecord driver = driver_record("one");
   for (const auto& [name, direction] :
        {std::pair("wind", discovery::Direction::out), std::pair("temperature", discovery::Direction::out),
         std::pair("control", discovery::Direction::in)}) {

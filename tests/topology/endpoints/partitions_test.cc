@@ -113,24 +113,12 @@ class KafkaPartitions : public Endpoints {
   void show_instance(int i, const std::map<std::string, std::string>& topics, const std::string& transport = "kafka",
                      discovery::Direction direction = discovery::Direction::out) {
     for (const auto& [name, topic] : topics) {
-      discovery::ChannelRecord channel;
-      channel.name = name;
-      channel.transport = transport;
-      channel.direction = direction;
+      discovery::ChannelRecord channel = channel_record(id(i), name, direction, transport);
       channel.properties = {{"topic", topic}};
-      channel.broker_url = broker_url_;
-      channel.gateway = "g"_gateway;
-      channel.driver = "d"_driver;
-      channel.instance = discovery::InstanceId(id(i));
       channel.shared = true;
-      discovery::put(*registry_, paths_.channel("d"_driver, channel.instance, name), discovery::encode(channel));
+      put_channel(channel);
     }
-    discovery::DriverRecord driver;
-    driver.name = "d"_driver;
-    driver.instance = discovery::InstanceId(id(i));
-    driver.gateway = "g"_gateway;
-    driver.state = discovery::DriverState::active;
-    discovery::put(*registry_, paths_.instance("d"_driver, driver.instance), discovery::encode(driver));
+    put_driver(driver_record(id(i)));
   }
   static std::string id(int i) { return "i" + std::to_string(i); }
   /// One more message of each instance on each channel.

@@ -109,25 +109,15 @@ class Sharing : public Endpoints {
   std::string up(std::size_t gateway) const { return "g" + std::to_string(gateway) + ".d." + raw(); }
   void show_gateway(std::size_t number) {
     const std::string instance = "i" + std::to_string(number);
-    discovery::ChannelRecord channel;
-    channel.name = "up";
-    channel.transport = kind_;
-    channel.direction = discovery::Direction::out;
+    discovery::ChannelRecord channel = channel_record(instance, "up", discovery::Direction::out, kind_);
     channel.properties = {{"routingKey", raw()}, {"topic", raw()}};
-    channel.broker_url = broker_url_;
     channel.gateway = discovery::GatewayId("g" + std::to_string(number));
-    channel.driver = "d"_driver;
-    channel.instance = discovery::InstanceId(instance);
     channel.shared = true;
-    discovery::put(*registry_, paths_.channel("d"_driver, discovery::InstanceId(instance), "up"),
-                   discovery::encode(channel));
-    discovery::DriverRecord driver;
-    driver.name = "d"_driver;
-    driver.instance = discovery::InstanceId(instance);
+    put_channel(channel);
+    discovery::DriverRecord driver = driver_record(instance);
     driver.gateway = channel.gateway;
-    driver.state = discovery::DriverState::active;
     driver.metadata = {{"site", "lab"}};
-    discovery::put(*registry_, paths_.instance("d"_driver, discovery::InstanceId(instance)), discovery::encode(driver));
+    put_driver(driver);
     devices_[number] = broker_->publisher({"", up(number), false}, many());
   }
 

@@ -17,34 +17,19 @@ using Metadata = std::map<std::string, std::string>;
 /// Topologies that say `where`.
 class Where : public Endpoints {
  protected:
-  static discovery::ChannelRecord channel(const std::string& instance, const std::string& name, bool shared,
-                                          const std::string& url) {
-    discovery::ChannelRecord channel;
-    channel.name = name;
-    channel.transport = "rabbitmq";
-    channel.direction = name == "up" ? discovery::Direction::out : discovery::Direction::in;
-    channel.properties = {{"routingKey", name}};
-    channel.broker_url = url;
-    channel.gateway = "g"_gateway;
-    channel.driver = "d"_driver;
-    channel.instance = discovery::InstanceId(instance);
-    channel.shared = shared;
-    return channel;
-  }
   void tell(const std::string& instance, Metadata metadata,
             discovery::DriverState state = discovery::DriverState::active) {
-    discovery::DriverRecord driver;
-    driver.name = "d"_driver;
-    driver.instance = discovery::InstanceId(instance);
-    driver.gateway = "g"_gateway;
-    driver.state = state;
+    discovery::DriverRecord driver = driver_record(instance, state);
     driver.metadata = std::move(metadata);
-    discovery::put(*registry_, paths_.instance("d"_driver, discovery::InstanceId(instance)), discovery::encode(driver));
+    put_driver(driver);
   }
   void show(const std::string& instance, Metadata metadata, bool shared = false) {
-    for (const char* name : {"up", "down"}) {
-      discovery::put(*registry_, paths_.channel("d"_driver, discovery::InstanceId(instance), name),
-                     discovery::encode(channel(instance, name, shared && std::string(name) == "up", broker_url_)));
+    for (const bool up : {true, false}) {
+      const std::string name = up ? "up" : "down";
+      auto channel = channel_record(instance, name, up ? discovery::Direction::out : discovery::Direction::in);
+      channel.properties = {{"routingKey", name}};
+      channel.shared = shared && up;
+      put_channel(channel);
     }
     tell(instance, std::move(metadata));
   }
