@@ -152,9 +152,13 @@ def password_of(broker):
     return (PASSWORDS / f"{broker}.password").read_text().strip()
 
 
+def url_of(broker, scheme, port):
+    return f"{scheme}://bench:{password_of(broker)}@{broker}:{port}"
+
+
 def without_passwords(text):
-    for broker in DRIVERS:
-        text = text.replace(password_of(broker), "PASSWORD")
+    for file in PASSWORDS.glob("*.password"):
+        text = text.replace(file.read_text().strip(), "PASSWORD")
     return text
 
 
@@ -167,12 +171,11 @@ def main():
     print(f"{facts['cpu']}, {facts['cores']} cores, load {facts['load_average_before']:.2f}", flush=True)
     sizes = {text: SIZES[text] for text in ("100 B", "60 KB")} if given.quick else SIZES
     how = (sizes, 3, 5, report) if given.quick else (sizes, 5, 10, report)
-    user = {broker: f"bench:{password_of(broker)}" for broker in DRIVERS}
     with warm("rabbitmq"):
-        measure("rabbitmq", "RabbitMQ", f"amqp://{user['rabbitmq']}@rabbitmq:5672/", "librabbitmq", *how)
+        measure("rabbitmq", "RabbitMQ", url_of("rabbitmq", "amqp", 5672) + "/", "librabbitmq", *how)
     if reachable("kafka"):
         with warm("kafka"):
-            measure("kafka", "Kafka", f"kafka://{user['kafka']}@kafka:9092", "librdkafka", *how)
+            measure("kafka", "Kafka", url_of("kafka", "kafka", 9092), "librdkafka", *how)
     else:
         print("Kafka: not there (./dev cluster up without --small has it)")
     written = {"machine": facts, "commit": given.commit, "command": shlex.join(["./dev", "cluster", "bench",

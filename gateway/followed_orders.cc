@@ -8,6 +8,7 @@
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/discovery/description/json.h>
+#include <iotcloud/discovery/order_times.h>
 #include <iotcloud/gateway/followed_orders.h>
 #include <iotcloud/processes/durable_file.h>
 
@@ -64,7 +65,7 @@ const FollowedOrder* FollowedOrders::find(const discovery::InstanceId& instance)
 }
 
 std::int64_t FollowedOrders::oldest_of_unknown_ms() const {
-  return newest_ms_ - clocks_differ_ms;
+  return newest_ms_ - discovery::clocks_differ.count();
 }
 
 void FollowedOrders::take(const FollowedOrder& order) {

@@ -8,7 +8,6 @@
 
 #include <iotcloud/discovery/description/fields.h>
 #include <iotcloud/discovery/ids.h>
-#include <iotcloud/discovery/order_times.h>
 #include <iotcloud/processes/descriptor.h>
 
 namespace iotcloud::gateway {
@@ -35,9 +34,6 @@ struct FollowedOrder {
 /// process at a time.
 class FollowedOrders {
  public:
-  /// How far the clocks of masters and gateways may differ.
-  static constexpr std::int64_t clocks_differ_ms = discovery::clocks_differ.count();
-
   /// \param file made when something is added; empty: this process only remembers. \throws config::Error if the file
   /// cannot be read or is damaged, but for a last line without its end, which a killed process left: what it says was
   /// not followed.

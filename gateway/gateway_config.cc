@@ -220,6 +220,20 @@ void read_hosts(config::YamlSection& file, GatewayConfig& config) {
   restart->finish();
 }
 
+/// Where gateways share an exchange, each one's rights are the keys that begin with its id and a dot: those of a
+/// gateway "a" would cover the keys of a gateway "a.b".
+void check_id(config::YamlSection& file, const GatewayOptions& gateway) {
+  if (gateway.id.str().find('.') == std::string::npos) return;
+  for (const auto& broker : gateway.brokers) {
+    if (!broker.options.properties.contains("exchange")) continue;
+    file.refuse("id",
+                fmt::format("\"{}\" has a dot, and the broker \"{}\" has the property \"exchange\": a gateway whose id "
+                            "ends at the dot could write and read this one's messages there",
+                            gateway.id, broker.name),
+                "give the gateway an id without dots, or leave the property out");
+  }
+}
+
 GatewayConfig read_gateway(config::YamlSection& file) {
   GatewayConfig config;
   auto& gateway = config.gateway;
@@ -232,6 +246,7 @@ GatewayConfig read_gateway(config::YamlSection& file) {
   gateway.session_timeout = config.registry.session_timeout;
   gateway.paths = discovery::Paths(file.string_or("zk.root", "/iot/sensors"));
   gateway.brokers = read_brokers(file, gateway.session_timeout);
+  check_id(file, gateway);
   read_thrift(file, config);
   config.thrift.audit = security::read_audit(file);
   read_plugins(file, config);

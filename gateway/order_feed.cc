@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/discovery/order_times.h>
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/gateway/order_feed.h>
 #include <iotcloud/security/signed_object.h>
@@ -486,8 +487,9 @@ void OrderFeed::take(const discovery::InstanceId& instance, const discovery::Nod
     handled_[instance] = {node.created, node.version};
     unjudged_.erase(instance);
   } catch (const discovery::RegistryError& e) {
-    logger.warn("the order for {} is read again: whether its master leads is not known yet: {}", instance, e.what());
-    unjudged_[instance] = {node.created, node.version};
+    const bool first = unjudged_.insert_or_assign(instance, std::pair(node.created, node.version)).second;
+    if (first)
+      logger.warn("the order for {} is read again: whether its master leads is not known yet: {}", instance, e.what());
     read_when_answered();
   } catch (const std::exception& e) {
     logger.error("an order is ignored: {}", e.what());
@@ -515,6 +517,9 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
   const bool stood_before = initial_.erase(instance) > 0;
   if (order.epoch < epoch_ && !stood_before) {
     if (of_older_lead_) return;  // all orders are about to be read again
+    if (retrying_) {             // the registry is asked once for all orders
+      throw discovery::RegistryError(discovery::RegistryErrorCode::away, "the registry did not answer a moment ago");
+    }
     if (leads_now(order.epoch)) {
       of_older_lead_ = instance;
       loop_.post([this] { read_orders(); });
@@ -544,7 +549,7 @@ FollowedOrder OrderFeed::followed(const discovery::InstanceId& instance, std::in
   FollowedOrder now;
   now.instance = instance;
   now.given_ms = given_ms;
-  now.counts_ms = std::min(given_ms, clock_.wall_ms() + FollowedOrders::clocks_differ_ms);
+  now.counts_ms = std::min(given_ms, clock_.wall_ms() + discovery::clocks_differ.count());
   return now;
 }
 
@@ -579,7 +584,7 @@ bool OrderFeed::is_out_of_date(const discovery::OrderRecord& order) const {
   if (!masters_) return false;
   if (const auto* last = done_.find(order.instance)) return order.given_ms < last->given_ms;
   if (order.given_ms < done_.oldest_of_unknown_ms()) return true;
-  return !first_.contains(order.instance) && order.given_ms < started_ms_ - FollowedOrders::clocks_differ_ms;
+  return !first_.contains(order.instance) && order.given_ms < started_ms_ - discovery::clocks_differ.count();
 }
 
 bool OrderFeed::is_signed(const std::string& path, const discovery::Node& node) const {

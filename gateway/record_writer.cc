@@ -111,7 +111,11 @@ bool RecordWriter::write(const discovery::InstanceId& instance, Entry& entry) {
     told_away_ = false;
     return true;
   } catch (const RegistryError& e) {
-    if (!told_away_) logger.warn("the state of {} is not in the registry yet: {}", instance, e.what());
+    if (!told_away_) {
+      logger.warn("{} {}: {}",
+                  entry.dirty ? "the registry has not got the state of" : "the registry still has an old record of",
+                  instance, e.what());
+    }
     told_away_ = true;
     if (entry.dirty) {  // it is not known which channels were written
       entry.channels.reset();

@@ -450,8 +450,14 @@ def certs(given):
             "rabbitmq": ["bash", "/etc/iotcloud/rabbitmq-certificate", "renewed"]}
     running = {service: container["Id"] for service, container in docker.containers().items()
                if service in told and container["State"]["Running"]}
-    for service, container in sorted(running.items()):
-        asked(["docker", "exec", container, *told[service]])
+    untold = []
+    for service, container in running.items():
+        try:
+            asked(["docker", "exec", container, *told[service]])
+        except Refused as why:
+            untold.append(f"{service}: {why}")
+    if untold:
+        raise Refused("not told of the new files, so run the command again once they are well: " + "; ".join(untold))
     say(f"given to {len(running)} containers, which go on with them")
 
 

@@ -160,17 +160,6 @@ void check_raw(const discovery::ChannelRecord& record) {
   }
 }
 
-/// Where gateways share an exchange, each one's rights are the keys that begin with its id and a dot: those of a
-/// gateway "a" would cover the keys of a gateway "a.b".
-void check_id_in_shared_exchange(const discovery::GatewayId& gateway, const BrokerPlan& broker) {
-  if (!broker.options.properties.contains("exchange") || gateway.str().find('.') == std::string::npos) return;
-  throw config::Error(fmt::format(
-      "the gateway's id \"{}\" has a dot, and the broker \"{}\" has the property \"exchange\": a gateway whose "
-      "id ends at the dot could write and read this one's messages there; give the gateway an id without "
-      "dots, or leave the property out",
-      gateway, broker.name));
-}
-
 /// With `interop: java` the channel has the one queue that the original's programs read and declare.
 void make_room_for_the_original(PlannedChannel& channel, const BrokerPlan& broker) {
   const auto interop = channel.spec.properties.find("interop");
@@ -200,7 +189,6 @@ PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::Driver
     const auto found = spec.properties.find(key);
     return found == spec.properties.end() || found->second.empty() ? fallback : found->second;
   };
-  check_id_in_shared_exchange(gateway, broker);
   PlannedChannel channel;
   channel.spec = spec;
   auto& record = channel.record;

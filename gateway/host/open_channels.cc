@@ -34,9 +34,10 @@ class HandedAnswer final : public brokers::Settler {
 }  // namespace
 
 void OpenChannels::add_outgoing(const PlannedChannel& channel, std::unique_ptr<OutgoingChannel> outgoing) {
+  auto broker = environment_.brokers->get(channel.address, channel.broker);
   const config::WriteLock lock(mutex_);
   outgoing_.emplace(channel.spec.name, std::move(outgoing));
-  channels_[channel.spec.name] = {channel.record, environment_.brokers->get(channel.address, channel.broker)};
+  channels_[channel.spec.name] = {channel.record, std::move(broker)};
 }
 
 void OpenChannels::add_incoming(const PlannedChannel& channel, std::shared_ptr<brokers::Broker> broker,

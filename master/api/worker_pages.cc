@@ -78,8 +78,10 @@ std::string read_here(const discovery::WorkerRecord& worker, const std::string& 
   std::string page;
   try {
     page = rpc::http_get(worker.http, overview, reader);
-  } catch (const rpc::HttpRefusal&) {
-    page.clear();  // what the refusal says may be another program's
+  } catch (const rpc::HttpUnreachable&) {
+    throw;
+  } catch (const rpc::HttpError&) {
+    page.clear();  // what the error says may be another program's
   }
   if (!is_page_of(page, worker)) throw rpc::HttpError("another program answers at " + worker.http);
   return target == overview ? page : rpc::http_get(worker.http, target, reader);

@@ -148,8 +148,7 @@ struct MasterClient::Impl {
       try {
         connect(*at);
         return true;
-      } catch (const TException&) {
-        continue;  // what the last one has said is told
+      } catch (const TException&) {  // the next one may answer
       }
     }
     return false;
@@ -224,22 +223,25 @@ struct MasterClient::Impl {
       // The master wrote nothing, so the order may be given again.
       const auto standby = address;
       const auto leader = answer.__isset.leader ? answer.leader : "";
-      std::string silence;
+      std::string silence, no_way;
       if (!leader.empty() && leader != standby) {
-        if (const auto why = open_way(access, leader); !why.empty()) {
-          // The leader may have another address here: the near end of a tunnel.
-          if (++out_of_reach >= addresses.size() || !connect_other()) throw RequestFailed(why);
+        no_way = open_way(access, leader);
+        if (no_way.empty()) {
+          try {
+            connect(leader);
+            continue;
+          } catch (const TException& e) {
+            silence = e.what();
+          }
+        } else if (++out_of_reach >= addresses.size()) {
+          throw RequestFailed(no_way);  // all masters name that leader, and none of them leads
+        } else if (connect_other()) {   // the leader may have another address here: the near end of a tunnel
           continue;
-        }
-        try {
-          connect(leader);
-          continue;
-        } catch (const TException& e) {
-          silence = e.what();
         }
       }
       // There is no leader, or it has just died and the other masters elect a new one.
       if (std::chrono::steady_clock::now() > patience) {
+        if (!no_way.empty()) throw RequestFailed(no_way);
         if (silence.empty()) return answer;
         throw Unreachable(fmt::format("master {} is on standby and names {} as the leader, which does not answer: {}",
                                       standby, leader, silence));

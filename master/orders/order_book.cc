@@ -230,7 +230,7 @@ EarlyOutcome OrderBook::rewrite(const LocatedInstance& where, const Lead& lead,
     auto order = discovery::decode_order(node->data, path);
     if (ours && order.epoch > lead.epoch) return of_later_master();
     if (ours && standing == Standing::is_kept && is_old(*node, order.given_ms, known))
-      return of_earlier_time(where.gateway, order.given_ms < known);
+      return of_earlier_time(where.gateway, order.given_ms < known && !discovery::written_late(*node, order.given_ms));
     const auto given_before = std::max(ours ? order.given_ms : 0, known);
     alter(order);
     order.epoch = lead.epoch;

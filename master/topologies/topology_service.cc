@@ -201,8 +201,8 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
   if (forgets && !kill) {
     result.text += (result.text.empty() ? "" : "; ") +
                    std::string(
-                       "somebody else's or an old order stood there, and the parallelism that it gave is "
-                       "forgotten: `iotcloud topology rebalance` gives it again");
+                       "somebody else's or an old order stood there and is forgotten, with the parallelism that it may "
+                       "have given: `iotcloud topology rebalance` gives it again");
   }
 
   TopologyWatch watch(desk_.registry, desk_.options.paths, request.topology, order.revision, kill);

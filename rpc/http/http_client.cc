@@ -44,7 +44,9 @@ class Asking {
     security::expect_host(stream.native_handle(), to.host);
     auto& connection = beast::get_lowest_layer(stream);
     tcp::resolver resolver(io_);
-    const auto places = resolver.resolve(to.host, to.port, tcp::resolver::numeric_service);
+    boost::system::error_code unknown;
+    const auto places = resolver.resolve(to.host, to.port, tcp::resolver::numeric_service, unknown);
+    if (unknown) throw HttpUnreachable(fmt::format("{} does not answer: {}", address_, unknown.message()));
     complete(connection, [&](auto done) { connection.async_connect(places, done); });
     complete(connection, [&](auto done) { stream.async_handshake(asio::ssl::stream_base::client, done); });
     return read(stream, target);
@@ -61,7 +63,9 @@ class Asking {
     begin([&result](boost::system::error_code error, auto&&...) { result = error; });
     io_.restart();
     io_.run();
-    if (result == http::error::body_limit) throw HttpError(fmt::format("{}: {}", address_, result.message()));
+    const auto& of_http = http::make_error_code(http::error::end_of_stream);
+    if (result && result != of_http && result.category() == of_http.category())
+      throw HttpError(fmt::format("{}: {}", address_, result.message()));
     if (result) throw HttpUnreachable(fmt::format("{} does not answer: {}", address_, result.message()));
   }
 
@@ -81,7 +85,7 @@ class Asking {
     complete(connection, [&](auto done) { http::async_read_header(stream, buffer, response, done); });
     complete(connection, [&](auto done) { http::async_read(stream, buffer, response, done); });
     if (response.get().result() != http::status::ok) {
-      throw HttpRefusal(fmt::format("{}{}: {}", address_, target.substr(0, target.find('?')), response.get().body()));
+      throw HttpError(fmt::format("{}{}: {}", address_, target.substr(0, target.find('?')), response.get().body()));
     }
     return std::move(response.get().body());
   }

@@ -8,14 +8,10 @@
 
 namespace iotcloud::rpc {
 
-/// A page could not be read. what() names the address.
+/// A page could not be read: what answers is no HTTP, is too long, or has another status than 200, whose text is in
+/// what(); or it could not be asked for. what() names the address.
 struct HttpError : std::runtime_error {
   using std::runtime_error::runtime_error;
-};
-
-/// The answer is not 200; what() has its text.
-struct HttpRefusal : HttpError {
-  using HttpError::HttpError;
 };
 
 /// Nobody answers there: the connection was refused, broke or took too long, or its certificate is not the right one.
@@ -32,8 +28,7 @@ struct HttpReader {
 
 /// GETs a page of a daemon, in at most 5 s for each step. Blocks. Thread safe.
 /// \param address "127.0.0.1:9100"; without TLS a number of loopback, with TLS also a name, which the server's
-/// certificate must have. \param target path and query. \return the body. \throws HttpError, HttpRefusal,
-/// HttpUnreachable
+/// certificate must have. \param target path and query. \return the body. \throws HttpError, HttpUnreachable
 std::string http_get(const std::string& address, const std::string& target, const HttpReader& reader = {});
 
 /// Percent-encodes every character that RFC 3986 does not call unreserved, for a value of a query.

@@ -10,6 +10,7 @@ import argparse
 import json
 import os
 import re
+import select
 import shlex
 import shutil
 import signal
@@ -237,7 +238,7 @@ def first_certificate(text):
 
 
 def check_renewal(cluster):
-    """All certificates are renewed while the ledgers write, then some are revoked: open connections are cut, and nothing else."""
+    """All certificates are renewed while the ledgers write, then some are revoked: open connections are cut."""
     authority = SECRETS / "authority"
     before = {service: cluster.inspect(service)["State"]["StartedAt"] for service in SHOWN_AT}
     first = {service: first_certificate((authority / f"{service}.pem").read_text()) for service in SHOWN_AT}
@@ -308,7 +309,8 @@ class PageReader:
 
     def says(self):
         """Waits for what it says next."""
-        return self.process.stdout.readline().strip()
+        ready, _, _ = select.select([self.process.stdout], [], [], HEAL_LIMIT_S)
+        return self.process.stdout.readline().strip() if ready else "nothing"
 
     def end(self):
         self.process.kill()

@@ -4,7 +4,8 @@
 usage: page_reader.py SECRETS SERVICE ADDRESS PORT
 
 SECRETS is a folder with ca.pem, host.pem, host.key and a token (prometheus.token), SERVICE the name in the daemon's certificate.
-Prints `reading` after the first answer, then `cut` when there is none any more, and `answered STATUS` when it is another than 200.
+Prints `reading` after the first answer, then `cut` when the daemon ends the connection, `answered STATUS` when the status is another
+than 200, and `failed: WHY` when the daemon is not reached or is not the one that was meant.
 """
 
 import http.client
@@ -14,6 +15,8 @@ import time
 from pathlib import Path
 
 PAUSE_S = 0.2
+# How a connection ends that the other side closes, with TLS' alert or without.
+CUTS = (ssl.SSLError, ConnectionResetError, BrokenPipeError)
 
 
 class PageConnection(http.client.HTTPSConnection):
@@ -49,8 +52,9 @@ def main():
                 print("reading", flush=True)
             told = True
             time.sleep(PAUSE_S)
-    except (OSError, http.client.HTTPException):
-        print("cut", flush=True)
+    except (OSError, http.client.HTTPException) as error:
+        cut = isinstance(error, CUTS) and not isinstance(error, ssl.SSLCertVerificationError)
+        print("cut" if cut else f"failed: {error!r}", flush=True)
 
 
 if __name__ == "__main__":

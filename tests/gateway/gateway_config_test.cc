@@ -55,6 +55,17 @@ class GatewayConfigTest : public ::testing::Test {
   std::filesystem::path folder_;
 };
 
+TEST_F(GatewayConfigTest, AnIdWithADotIsRefusedWhereGatewaysShareAnExchange) {
+  const std::string shared = "brokers: {rabbitmq: {urls: [\"amqp://a/\"], properties: {exchange: amq.topic}}}";
+  EXPECT_EQ(error_of(with("brokers", shared)), "");
+  EXPECT_EQ(error_of(with("id", "id: gw.1")), "");
+  // A file in which both stand: with() replaces one line.
+  std::string both = with("brokers", shared);
+  both.replace(both.find("id: gw"), 6, "id: gw.1");
+  EXPECT_THAT(error_of(both),
+              testing::AllOf(HasSubstr("gateway.yaml:2"), HasSubstr("\"gw.1\" has a dot"), HasSubstr("\"exchange\"")));
+}
+
 TEST_F(GatewayConfigTest, AllErrorsOfAFileAreSaidAtOnce) {
   const std::string text =
       error_of(with("id", "id: \"\"\nhost_hang_limit: 3\nhost_open_files: 5\nmetrisc: {}") +

@@ -173,7 +173,7 @@ std::set<std::string> audited_methods() {
   return methods;
 }
 
-TEST_F(SiteServiceTest, EachOrderIsWrittenDownOnceBeforeItsEffectAndOnceAfterIt) {
+TEST_F(SiteServiceTest, EachOrderHasALineWhenItBeginsAndOneWhenItEnds) {
   const security::test::Folder folder;
   security::AuditSettings audit;
   audit.file = folder / "audit.log";

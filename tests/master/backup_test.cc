@@ -465,6 +465,21 @@ TEST_F(ForeignOrders, ThatAPersonAdoptsAreChangedAgainAlsoByAMasterThatDidNotTha
   EXPECT_TRUE(master_->stop(selection).all_done());
 }
 
+TEST_F(ForeignOrders, ThatWereWrittenLongAfterTheyWereGivenAreNotChangedByAnAdoption) {
+  ASSERT_TRUE(master_.leads());
+  const auto [selection, path, old] = deploy_and_stop();
+  auto order = discovery::decode_order(old, path);
+  order.given_ms -= std::chrono::milliseconds(std::chrono::minutes(11)).count();
+  write(path, seal(path, encode(order)));
+  for (const char* when : {"before", "after"}) {
+    const auto refused = master_->stop(selection);
+    ASSERT_THAT(refused.outcomes, SizeIs(1)) << refused.summary();
+    EXPECT_THAT(refused.outcomes.front().reason, HasSubstr("somebody wrote an old one once more")) << when;
+    EXPECT_THAT(refused.outcomes.front().reason, testing::Not(HasSubstr("registry adopt"))) << when;
+    master_->give("adopt", R"({"gateways": ["lab1"]})");
+  }
+}
+
 TEST_F(ForeignOrders, ThatAMasterSignedLongAgoEndWithARemovalThatIsLaterThanWhatItGaveLast) {
   ASSERT_TRUE(master_.leads());
   const InstanceSelection selection = deploy_one();
@@ -518,7 +533,7 @@ TEST_F(ForeignOrders, ToTopologiesThatAMasterSignedLongAgoLeaveNothingInTheNextO
   request.change = TopologyChange::activate;
   const auto activated = master_->order(request);
   ASSERT_TRUE(activated.all_done());
-  EXPECT_THAT(activated.text, HasSubstr("the parallelism that it gave is forgotten"));
+  EXPECT_THAT(activated.text, HasSubstr("is forgotten, with the parallelism"));
   EXPECT_THAT(discovery::decode_topology_order(standing(path), path).parallelism, IsEmpty());
   EXPECT_THAT(master_->order(request).text, testing::Not(HasSubstr("forgotten")));
 }

@@ -1,4 +1,6 @@
 // The open channels of an instance, as its driver and people use them, with the in-process broker.
+#include <atomic>
+#include <memory>
 #include <string>
 #include <vector>
 

@@ -1,7 +1,9 @@
 // The way from nothing to a master that others may reach: `certs init`, `token add`, the daemon's file, the options.
 #include <array>
+#include <atomic>
 #include <filesystem>
 #include <fstream>
+#include <limits>
 #include <memory>
 #include <mutex>
 #include <thread>
@@ -73,14 +75,16 @@ class RecordingListener {
 /// if it names none. Thread safe.
 class PlayedMaster final : public wire::TMasterAPIServiceNull {
  public:
-  explicit PlayedMaster(std::string leader = "") : leader_(std::move(leader)) {}
+  /// \param leader empty: it leads itself. \param standby_for so many orders it names that leader, then it leads
+  explicit PlayedMaster(std::string leader = "", int standby_for = std::numeric_limits<int>::max())
+      : leader_(std::move(leader)), standby_for_(standby_for) {}
   void authenticate(discovery::wire::TResponse& answer, const std::string& token) override {
     const std::lock_guard lock(mutex_);
     token_ = token;
     answer.__set_state(discovery::wire::TResponseState::SUCCESS);
   }
   void drain(wire::TOrderResponse& answer, const wire::TGatewaySelection&) override {
-    if (leader_.empty()) {
+    if (leader_.empty() || standby_for_-- <= 0) {
       answer.response.__set_statusMessage("done");
       return;
     }
@@ -94,6 +98,7 @@ class PlayedMaster final : public wire::TMasterAPIServiceNull {
 
  private:
   const std::string leader_;
+  std::atomic<int> standby_for_;
   std::mutex mutex_;
   std::string token_;  ///< guarded by mutex_
 };
@@ -305,6 +310,11 @@ TEST_F(CliSecurity, NoTokenIsSentInClearToAnotherMachine) {
   const auto none = run({"--master", at(standby) + "," + at(other), "--token-file", token, "drain", "lab1"});
   EXPECT_EQ(none.status, 1);
   EXPECT_THAT(none.err, HasSubstr("is not on this machine"));
+  EXPECT_EQ(far.heard(), "");
+  // The leader has died: one tunnel leads nowhere, and the standby at the other one leads soon.
+  const auto next = serve_played(std::make_shared<PlayedMaster>(far.at("0.0.0.0"), 2));
+  const auto later = run({"--master", "127.0.0.1:1," + at(next), "--token-file", token, "drain", "lab1"});
+  EXPECT_EQ(later.status, 0) << later.err;
   EXPECT_EQ(far.heard(), "");
   // Without a token there is nothing to hide.
   run({"--master", far.at("0.0.0.0"), "gateways"});

@@ -277,13 +277,12 @@ discovery::GuardPtr SpoutPlacement::take(discovery::GuardPtr SpoutPlacement::*ti
   return std::move(this->*timer);
 }
 
-bool SpoutPlacement::fits(const discovery::ChannelRecord& channel) {
-  std::string problem = misfit(channel, discovery::Direction::out, endpoint_.broker);
-  const std::string difference = problem.empty() && channel.shared ? split_topics_->difference(channel) : std::string();
+bool SpoutPlacement::fits(const discovery::ChannelRecord& channel, const std::string& unfit) {
+  const std::string difference = unfit.empty() && channel.shared ? split_topics_->difference(channel) : std::string();
   set_difference(channel, difference);
-  if (problem.empty()) problem = difference;
+  const std::string& problem = unfit.empty() ? difference : unfit;
   if (problem.empty()) return true;
-  // Once for all of a gateway, which come by the thousand.
+  // One warning for all instances of a gateway with the same problem: there may be thousands.
   if (complained_.insert(channel.gateway + problem).second) {
     endpoints_logger.warn("{}: channel {} of driver {} on gateway {} is not read: instance {}: {}", component_,
                           channel.name, channel.driver, channel.gateway, channel.instance, problem);
@@ -368,13 +367,16 @@ void SpoutPlacement::remove_queue(const UnitReaders::Key& topic) {
 
 /// Puts the channel into its units, one for each partition, unless it cannot be read.
 void SpoutPlacement::place(const discovery::ChannelRecord& channel) {
-  const bool usable = misfit(channel, discovery::Direction::out, endpoint_.broker).empty();
-  const auto partitions =
-      channel.shared && usable ? split_topics_->follow(channel, key_of(channel)) : std::optional<int>();
-  if (!fits(channel)) return displace(channel, 0, usable ? SpoutUnits::End::at_once : SpoutUnits::End::when_silent);
+  const std::string unfit = misfit(channel, discovery::Direction::out, endpoint_.broker);
+  std::optional<int> partitions;
+  if (unfit.empty() && channel.shared) partitions = split_topics_->follow(channel, key_of(channel));
+  if (!fits(channel, unfit)) {
+    return displace(channel, 0, unfit.empty() ? SpoutUnits::End::at_once : SpoutUnits::End::when_silent);
+  }
   if (!partitions) return add_to_unit(channel, std::nullopt);
-  for (int partition = 0; partition < *partitions; ++partition) add_to_unit(channel, partition);
-  displace(channel, *partitions, SpoutUnits::End::at_once);
+  const int count = partitions.value();
+  for (int partition = 0; partition < count; ++partition) add_to_unit(channel, partition);
+  displace(channel, count, SpoutUnits::End::at_once);
 }
 
 void SpoutPlacement::add_to_unit(const discovery::ChannelRecord& channel, std::optional<std::int32_t> partition) {

@@ -106,7 +106,7 @@ class SpoutPlacement {
   void on_shares(const ReadingGroup::Shares& shares) IOTCLOUD_REQUIRES(dispatcher_);
   void on_lost(const std::string& unit) IOTCLOUD_REQUIRES(dispatcher_);
   void on_session(discovery::SessionState state) IOTCLOUD_REQUIRES(dispatcher_);
-  bool fits(const discovery::ChannelRecord& channel) IOTCLOUD_REQUIRES(dispatcher_);
+  bool fits(const discovery::ChannelRecord& channel, const std::string& unfit) IOTCLOUD_REQUIRES(dispatcher_);
   void set_difference(const discovery::ChannelRecord& channel, const std::string& text) IOTCLOUD_REQUIRES(dispatcher_);
   void show_difference(const Difference& difference) IOTCLOUD_REQUIRES(dispatcher_);
   discovery::GuardPtr run_for_leader(const std::string& unit);
