@@ -29,6 +29,7 @@ SIZES = {"100 B": 100, "10 KB": 10_000, "60 KB": 60_000, "200 KB": 200_000}
 DRIVERS = {"rabbitmq": "loadgen", "kafka": "loadgen-kafka"}
 GATEWAYS, ON_EACH, RATE = ["gateway-1", "gateway-2"], 2, 100
 OURS = "our broker client"
+WARM_UP_S = 1  # of sending, in which drivers and bare clients connect; it does not count
 SETTLE_S = 2  # time that the workers have to begin reading the new drivers; nothing is sent in it
 LIMIT_S = 60  # how long a run may take in addition to the sending
 
@@ -77,12 +78,14 @@ def warm(broker):
 
 def through_the_cluster(broker, size, seconds, run):
     """One figure from the reports of a run's load generators: means over the drivers, and the largest maximum."""
-    count = int(RATE * seconds)
-    reports = manifest(run, len(GATEWAYS) * ON_EACH, {"broker": broker, "size": size, "count": count}, "inactive")
+    warm_up = int(RATE * WARM_UP_S)
+    count = warm_up + int(RATE * seconds)
+    reports = manifest(run, len(GATEWAYS) * ON_EACH,
+                       {"broker": broker, "size": size, "count": count, "warm_up": warm_up}, "inactive")
     try:
         time.sleep(SETTLE_S)
         iotcloud("start", "--where", f'bench == "{run}"')
-        results = wait_for(reports, seconds + LIMIT_S)
+        results = wait_for(reports, WARM_UP_S + seconds + LIMIT_S)
     finally:
         take_away(run, reports)
     wrong = [result for result in results if result["lost"] or result["damaged"] or result["sent"] != count]
@@ -90,7 +93,8 @@ def through_the_cluster(broker, size, seconds, run):
         raise ProgramFailed(f"messages were lost or damaged: {wrong}")
     latencies = [result["latency_us"] for result in results]
     return {"p50_us": statistics.mean(each["p50"] for each in latencies),
-            "p99_us": statistics.mean(each["p99"] for each in latencies), "max_us": max(each["max"] for each in latencies)}
+            "p99_us": statistics.mean(each["p99"] for each in latencies), "max_us": max(each["max"] for each in latencies),
+            "start_us": max(result["warm_up_latency_us"]["max"] for result in results)}
 
 
 def wait_for(reports, limit):
@@ -123,7 +127,7 @@ def measure(broker, title, url, bare, sizes, rounds, seconds, report):
     def client(name, size, run):
         shared = ["--shared"] if broker == "kafka" else []
         return programs.run(name, "--url", url, "--name", run, "--drivers", drivers, "--size", size, "--rate", RATE,
-                            "--warm-up", 1, "--seconds", seconds, *shared)[0]
+                            "--warm-up", WARM_UP_S, "--seconds", seconds, *shared)[0]
 
     for text, size in sizes.items():
         lines = {"cluster": [], bare: [], OURS: []}

@@ -18,6 +18,14 @@ namespace {
 constexpr std::uint32_t magic = 0x4c47494f;  // "OIGL"
 constexpr double most_ticks = 1000;          // ticks a second; faster rates send bursts
 
+nlohmann::ordered_json in_us(const Latencies& latencies) {
+  return {{"mean", latencies.mean_us()},
+          {"p50", latencies.quantile_us(0.5)},
+          {"p99", latencies.quantile_us(0.99)},
+          {"p999", latencies.quantile_us(0.999)},
+          {"max", latencies.quantile_us(1)}};
+}
+
 }  // namespace
 
 LoadGenerator::Options LoadGenerator::read_options(const PropertyMap& properties) {
@@ -26,6 +34,7 @@ LoadGenerator::Options LoadGenerator::read_options(const PropertyMap& properties
   options.size = static_cast<std::size_t>(reader.integer("size", 1024, least_size, 64 << 20));
   options.rate = reader.number("rate", options.rate, 0.01, 1e6);
   options.count = static_cast<std::uint64_t>(reader.integer("count", 0, 0, INT64_MAX));
+  options.warm_up = static_cast<std::uint64_t>(reader.integer("warm_up", 0, 0, INT64_MAX));
   options.shared = reader.flag("shared", options.shared);
   options.broker = reader.text("broker", options.broker);
   options.report = reader.text("report", options.report);
@@ -49,6 +58,7 @@ std::vector<ChannelSpec> LoadGenerator::channels(const PropertyMap& properties) 
 void LoadGenerator::open(DriverContext& context) {
   context_ = &context;
   options_ = read_options(context.properties());
+  trips_ = RoundTrips(options_.warm_up);
   if (!options_.report.empty() && !std::ofstream(options_.report, std::ios::app)) {
     throw std::runtime_error("property \"report\": cannot write \"" + options_.report +
                              "\"; name a file in a folder that exists and may be written");
@@ -145,7 +155,6 @@ void LoadGenerator::on_message(std::string_view channel, Message message) {
 }
 
 void LoadGenerator::report() {
-  const Latencies& latencies = trips_.latencies();
   const nlohmann::ordered_json json{{"instance", context_->instance_id()},
                                     {"size", options_.size},
                                     {"rate", options_.rate},
@@ -160,12 +169,9 @@ void LoadGenerator::report() {
                                     {"damaged", damaged_},
                                     {"foreign", foreign_},
                                     {"times_blocked", times_blocked_},
-                                    {"latency_us",
-                                     {{"mean", latencies.mean_us()},
-                                      {"p50", latencies.quantile_us(0.5)},
-                                      {"p99", latencies.quantile_us(0.99)},
-                                      {"p999", latencies.quantile_us(0.999)},
-                                      {"max", latencies.quantile_us(1)}}}};
+                                    {"latency_us", in_us(trips_.latencies())},
+                                    {"warm_up", options_.warm_up},
+                                    {"warm_up_latency_us", in_us(trips_.latencies_of_warm_up())}};
   context_->log(LogLevel::info, "round trips: " + json.dump());
   if (options_.report.empty()) return;
   // Whoever reads it sees a whole report, this one or the one before.

@@ -46,6 +46,11 @@ class LoadGenerator : public Driver {
                    .min = 0,
                    .default_value = "0",
                    .text = "how many messages; 0: no limit"},
+      PropertySpec{.name = "warm_up",
+                   .type = PropertyType::integer,
+                   .min = 0,
+                   .default_value = "0",
+                   .text = "the latencies of so many messages at the beginning are reported apart"},
       PropertySpec{.name = "shared",
                    .type = PropertyType::flag,
                    .default_value = "false",
@@ -69,7 +74,7 @@ class LoadGenerator : public Driver {
   struct Options {
     std::size_t size = 1024;
     double rate = 10;
-    std::uint64_t count = 0;
+    std::uint64_t count = 0, warm_up = 0;
     bool shared = false;
     std::string broker, report;
   };

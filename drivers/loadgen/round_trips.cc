@@ -51,7 +51,7 @@ bool RoundTrips::received(std::uint64_t sequence, std::chrono::nanoseconds laten
   ++received_;
   if (sequence + 1 < newest_) ++out_of_order_;
   newest_ = std::max(newest_, sequence + 1);
-  latencies_.add(latency);
+  (sequence < warm_up_ ? latencies_of_warm_up_ : latencies_).add(latency);
   return true;
 }
 

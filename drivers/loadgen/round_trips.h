@@ -29,6 +29,8 @@ class Latencies {
 /// Tracks a sequence of messages that are sent and come back, with one bit of memory for each. Not thread safe.
 class RoundTrips {
  public:
+  /// \param warm_up the latencies of so many messages from the first on are kept apart
+  explicit RoundTrips(std::uint64_t warm_up = 0) : warm_up_(warm_up) {}
   void sent() { ++sent_; }
   /// Notes that a message came back. Only the first time counts for the latencies.
   /// \param latency since the message was due. \return false for a number that was never sent.
@@ -42,13 +44,15 @@ class RoundTrips {
   /// The largest distance between a message's number and the largest number that came before it; duplicates count too.
   std::uint64_t furthest_back() const { return furthest_back_; }
   const Latencies& latencies() const { return latencies_; }
+  const Latencies& latencies_of_warm_up() const { return latencies_of_warm_up_; }
 
  private:
+  std::uint64_t warm_up_;
   std::uint64_t sent_ = 0, received_ = 0, duplicated_ = 0, out_of_order_ = 0;
   std::uint64_t furthest_back_ = 0;
   std::uint64_t newest_ = 0;  ///< the largest number that came back, plus one
   std::vector<bool> seen_;
-  Latencies latencies_;
+  Latencies latencies_, latencies_of_warm_up_;
 };
 
 }  // namespace iotcloud::drivers::loadgen

@@ -111,6 +111,15 @@ TEST_F(LoadGeneratorTest, reports_as_soon_as_all_are_back) {
   EXPECT_EQ(report()["latency_us"].size(), 5);
 }
 
+TEST_F(LoadGeneratorTest, reports_the_latencies_of_its_warm_up_apart) {
+  auto& load = start({{"rate", "100"}, {"count", "4"}, {"warm_up", "2"}});
+  host->advance(40ms);  // the messages were due at 10, 20, 30 and 40 ms
+  for (const auto& published : host->published("data")) ASSERT_TRUE(load.deliver("echo", published.message));
+  EXPECT_EQ(report()["received"], 4);
+  EXPECT_DOUBLE_EQ(report()["latency_us"]["max"].get<double>(), 10'000);
+  EXPECT_DOUBLE_EQ(report()["warm_up_latency_us"]["max"].get<double>(), 30'000);
+}
+
 TEST_F(LoadGeneratorTest, leaves_the_report_that_somebody_reads_as_it_is_when_it_writes_a_newer_one) {
   auto& load = start({{"rate", "1000"}, {"count", "3"}});
   host->advance(1s);
