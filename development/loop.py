@@ -2,13 +2,12 @@
 """Measures the loop of somebody who changes one source: for each room it changes the largest source and times `./dev
 test ROOM --unit`; then it changes a header that many sources include and times `./dev build`.
 
-usage: loop.py [--room ROOM]... [--json FILE]      (build/loop.json; everything must have been built before)
+usage: ./dev bench loop [--room ROOM]... [--json FILE]      (it builds everything, and runs this file)
 
-A change is a comment at the end of the file, which is taken away again (the next build compiles it anew). ccache is off:
+Prints each time and writes all as figures to build/bench/loop.json (`./dev bench keep loop`). A change is a comment at the end of the file, which is taken away again (the next build compiles it anew). ccache is off:
 it would return the object of the old text.
 """
 import argparse
-import json
 import os
 import statistics
 import subprocess
@@ -17,6 +16,10 @@ import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "bench"))
+
+import figures  # noqa: E402
+
 ROOMS = ["config", "security", "rpc", "brokers", "discovery", "drivers", "processes", "gateway", "master", "topology",
          "examples", "deploy"]
 TESTED_BY = {"deploy": "containers"}  # the room of its unit tests, where it is another
@@ -47,11 +50,25 @@ def largest_source(room):
     return max(sources, key=lambda file: file.stat().st_size)
 
 
+def results_of(rows):
+    """The rows (kind, name, seconds) in the form of a benchmark's results: the median of each kind first, which has the
+    target."""
+    for kind, target in TARGETS.items():
+        seconds = [row[2] for row in rows if row[0] == kind]
+        if seconds:
+            middle = statistics.median(seconds)
+            yield {"name": f"one changed {kind}, median", "value": middle, "unit": "s", "target": f"<= {target:.0f}",
+                   "met": middle <= target}
+    for kind, name, seconds in rows:
+        yield {"name": f"one changed {kind}: {name}", "value": seconds, "unit": "s", "met": None}
+
+
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="./dev bench loop", description=__doc__.split("\n")[0])
     parser.add_argument("--room", action="append", choices=ROOMS)
-    parser.add_argument("--json", type=Path, default=ROOT / "build/loop.json")
+    parser.add_argument("--json", type=Path, default=ROOT / "build/bench/loop.json")
     given = parser.parse_args()
+    begun = figures.begin(ROOT)
     rows = []
     for room in given.room or ROOMS:
         file = largest_source(room)
@@ -63,18 +80,11 @@ def main():
         for header in HEADERS:
             rows.append(("header", header, timed(ROOT / header, ["./dev", "build"])))
             print(f"{rows[-1][2]:7.1f} s  {header}: everything built", flush=True)
-    commit = subprocess.run(["git", "describe", "--always", "--dirty"], cwd=ROOT, capture_output=True, text=True).stdout
-    results = []
-    for kind, target in TARGETS.items():
-        seconds = [row[2] for row in rows if row[0] == kind]
-        if seconds:
-            middle = statistics.median(seconds)
-            print(f"{middle:7.1f} s  median of {kind}s; {target:.0f} s are wanted")
-            results.append({"name": f"one changed {kind}", "value": middle, "unit": "s", "target": target,
-                            "met": middle <= target})
-    results += [{"name": name, "value": value, "unit": "s"} for _, name, value in rows]
-    given.json.parent.mkdir(parents=True, exist_ok=True)
-    given.json.write_text(json.dumps({"commit": commit.strip(), "cores": os.cpu_count(), "results": results}, indent=1))
+    results = list(results_of(rows))
+    for result in results:
+        if result["met"] is not None:
+            print(f"{result['value']:7.1f} s  {result['name']}; {result['target']} s are wanted")
+    figures.write(given.json, figures.command_line(["loop", *sys.argv[1:]]), begun, {}, results)
 
 
 if __name__ == "__main__":
