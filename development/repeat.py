@@ -1,13 +1,13 @@
 #!/usr/bin/python3
-"""Repeats the release suite to find tests that depend on how busy the machine is: every second run shares it with
-processes that keep all cores busy.
+"""Repeats the release suite until RUNS runs in a row are without a failure, half of them beside processes that keep all
+cores busy: it finds tests that depend on how busy the machine is.
 
 usage: ./dev test --repeat RUNS [CTEST OPTIONS]      (it builds, and runs this file)
 
 One line for each run is added to development/repeats.tsv: number, commit, idle or loaded, begin, seconds, tests, failed,
 and the names of those that failed; what they printed is in build/repeat/run-NUMBER.log. Stopped and started again, also
-on another day and with another commit, it goes on after the last line. The exit status is 1 when any of the RUNS last
-lines says that a test failed.
+on another day and with another commit, it goes on after the last line: the runs since the last one that failed count. A
+run that fails ends it with the exit status 1; the next start begins the row anew.
 """
 import argparse
 import ctypes
@@ -64,6 +64,22 @@ def read_with_progress(output):
     return "".join(said)
 
 
+def clean_row(lines):
+    """The lines of the last runs in a row without a failure."""
+    row = []
+    for line in reversed(lines):
+        if line.split("\t")[6] != "0":
+            break
+        row.insert(0, line)
+    return row
+
+
+def is_loaded_next(row):
+    """Whether the row's next run is beside busy cores, so that half of the row is."""
+    loaded = sum(line.split("\t")[2] == "loaded" for line in row)
+    return loaded < len(row) - loaded
+
+
 def run_suite(build, options):
     """Runs the suite and returns ctest's output. An interrupt ends its tests and their servers too."""
     command = ["ctest", "--test-dir", str(build), "--output-on-failure", "-j", str(3 * os.cpu_count()), "-LE", "^long$",
@@ -79,7 +95,7 @@ def run_suite(build, options):
 
 def main():
     parser = argparse.ArgumentParser(prog="./dev test --repeat", description=__doc__.split("\n")[0])
-    parser.add_argument("runs", type=int, metavar="RUNS", help="how many lines the file is to have")
+    parser.add_argument("runs", type=int, metavar="RUNS", help="how many runs in a row are to be without a failure")
     parser.add_argument("--build", type=Path, default=Path("build/release"), help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("build/repeat"), help=argparse.SUPPRESS)
     parser.add_argument("--table", type=Path, default=TREE / "development/repeats.tsv", help=argparse.SUPPRESS)
@@ -91,10 +107,11 @@ def main():
         table.write_text(HEAD)
     commit = commit_of(TREE, table)
     lines = table.read_text().splitlines()[1:]
-    while len(lines) < given.runs:
-        number = len(lines) + 1
-        loaded = number % 2 == 0
-        print(f"run {number} of {given.runs}, {'beside busy cores' if loaded else 'the machine to itself'}", flush=True)
+    row = clean_row(lines)
+    while len(row) < given.runs:
+        number, loaded = len(lines) + 1, is_loaded_next(row)
+        print(f"run {number}, {len(row) + 1} of {given.runs} in a row: "
+              f"{'beside busy cores' if loaded else 'the machine to itself'}", flush=True)
         began = time.strftime("%Y-%m-%dT%H:%M:%S")
         start = time.monotonic()
         busy = burners() if loaded else []
@@ -111,9 +128,12 @@ def main():
         with open(table, "a", encoding="utf-8") as file:
             file.write(lines[-1] + "\n")
         print(lines[-1], flush=True)
-    failed = [line for line in lines[-given.runs:] if line.split("\t")[6] != "0"]
-    print(f"{given.runs} runs, {len(failed)} with failures; {table}")
-    return 1 if failed else 0
+        if names:
+            print(f"run {number} failed: the row begins anew; {given.out / f'run-{number}.log'} says why")
+            return 1
+        row = clean_row(lines)
+    print(f"{len(row)} runs in a row without a failure; {table}")
+    return 0
 
 
 if __name__ == "__main__":

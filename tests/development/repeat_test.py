@@ -1,10 +1,13 @@
 #!/usr/bin/python3
-"""Tests how development/repeat.py reads ctest's summary and names a commit."""
+"""Tests how development/repeat.py reads ctest's summary and names a commit, and which runs it makes; no suite is run."""
+import contextlib
+import io
 import subprocess
 import sys
 import tempfile
 import unittest
 from pathlib import Path
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
 
@@ -33,6 +36,73 @@ class OutcomeTest(unittest.TestCase):
     def test_a_run_without_a_summary_is_no_success(self):
         with self.assertRaises(ValueError):
             repeat.outcome("No tests were found!!!\n")
+
+
+CLEAN = "100% tests passed, 0 tests failed out of 7\n"
+
+
+class RowTest(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory(prefix="iotcloud-repeat-")
+        self.addCleanup(folder.cleanup)
+        self.folder = Path(folder.name)
+        self.table = self.folder / "repeats.tsv"
+        self.busy = []  # processes that keep cores busy now
+
+    def repeat(self, runs, *said):
+        """Runs main() with a suite that says these texts, one each time, then stops it as a person does. Returns its
+        exit status, None when it was stopped, and of each run whether cores were kept busy meanwhile."""
+        texts, loads = iter(said), []
+
+        def suite(_build, options):
+            self.assertEqual(options, ["-R", "Url"])
+            loads.append(bool(self.busy))
+            try:
+                return next(texts)
+            except StopIteration:
+                raise KeyboardInterrupt from None
+
+        def burners():
+            process = mock.Mock(spec=subprocess.Popen)
+            process.wait.side_effect = lambda: self.busy.remove(process)
+            self.busy.append(process)
+            return [process]
+
+        words = ["repeat.py", str(runs), "--out", str(self.folder), "--table", str(self.table), "-R", "Url"]
+        with (mock.patch.object(repeat, "run_suite", suite), mock.patch.object(repeat, "burners", burners),
+              mock.patch.object(repeat, "commit_of", return_value="abc"), mock.patch.object(repeat.signal, "signal"),
+              mock.patch.object(sys, "argv", words), contextlib.redirect_stdout(io.StringIO())):
+            try:
+                status = repeat.main()
+            except KeyboardInterrupt:
+                status = None
+        self.assertEqual(self.busy, [])
+        return status, loads
+
+    def rows(self):
+        return [line.split("\t") for line in self.table.read_text().splitlines()[1:]]
+
+    def test_every_second_run_of_a_row_is_beside_busy_cores(self):
+        self.assertEqual(self.repeat(4, *[CLEAN] * 4), (0, [False, True, False, True]))
+        self.assertEqual([(row[0], row[2], row[6]) for row in self.rows()],
+                         [("1", "idle", "0"), ("2", "loaded", "0"), ("3", "idle", "0"), ("4", "loaded", "0")])
+        self.assertEqual(self.repeat(4), (0, []))
+
+    def test_a_row_that_was_stopped_goes_on(self):
+        self.assertEqual(self.repeat(4, CLEAN), (None, [False, True]))
+        self.assertEqual(self.repeat(4, *[CLEAN] * 3), (0, [True, False, True]))
+        self.assertEqual([row[0] for row in self.rows()], ["1", "2", "3", "4"])
+
+    def test_a_failure_ends_it_and_the_row_begins_anew(self):
+        self.assertEqual(self.repeat(4, CLEAN, FAILED), (1, [False, True]))
+        self.assertEqual(self.rows()[1][6:], ["2", "Url.Reads brokers_contract_test.kafka"])
+        self.assertIn("Url.Reads", (self.folder / "run-2.log").read_text())
+        self.assertEqual(self.repeat(2, CLEAN, CLEAN), (0, [False, True]))
+        self.assertEqual(len(self.rows()), 4)
+
+    def test_of_a_row_that_began_beside_busy_cores_half_is_so(self):
+        self.table.write_text(repeat.HEAD + "1\tabc\tidle\tnow\t9\t7\t1\tUrl.Reads\n2\tabc\tloaded\tnow\t9\t7\t0\t\n")
+        self.assertEqual(self.repeat(4, *[CLEAN] * 3), (0, [False, False, True]))
 
 
 class CommitTest(unittest.TestCase):
