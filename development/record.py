@@ -2,7 +2,10 @@
 """Runs a command of ./dev, and adds to development/times.tsv what it took.
 
 usage: ./dev demo --record [OPTIONS]
-       ./dev test --record [OPTIONS]      (both run this file)
+       ./dev test --record [OPTIONS]      (both run this file: record.py SECONDS CPU_SECONDS COMMAND [OPTIONS])
+
+SECONDS and CPU_SECONDS are what ./dev took before this file could run, which is the time for installing python3 on a new
+machine: they count in the step "packages" and in the whole.
 
 A line for each step that build/steps.tsv names, and one for the whole: when, commit, command, cores, step, seconds,
 seconds of CPU time, the most memory that the command's processes had at one time (MB, the share of each in what
@@ -122,6 +125,12 @@ def run(command, environment):
     return child.returncode, rows, others.text(seconds)
 
 
+def with_before(rows, seconds, cpu):
+    """The rows with what was spent before the first step, which is part of the packages and of the whole, the last row."""
+    return [(name, spent + seconds, cpu_s + cpu, memory) if name == "packages" or at == len(rows) - 1
+            else (name, spent, cpu_s, memory) for at, (name, spent, cpu_s, memory) in enumerate(rows)]
+
+
 def write(table, began, commit, words, rows, beside):
     if not table.exists():
         table.write_text(HEAD, encoding="utf-8")
@@ -133,11 +142,11 @@ def write(table, began, commit, words, rows, beside):
 
 
 def main():
-    words = sys.argv[1:]
+    seconds, cpu, *words = sys.argv[1:]
     commit = commit_of(ROOT, TABLE)
     began = time.strftime("%Y-%m-%d %H:%M")
     status, rows, beside = run(["./dev", *words], {**os.environ, "IOTCLOUD_STEPS": "1"})
-    write(TABLE, began, commit, words, rows, beside)
+    write(TABLE, began, commit, words, with_before(rows, float(seconds), float(cpu)), beside)
     print(f"what it took is in {TABLE.relative_to(ROOT)}")
     return status
 

@@ -75,6 +75,11 @@ class RecordTest(unittest.TestCase):
         others.update({9: (1, "burner", 3 * record.TICKS), 10: (1, "dev", 9 * record.TICKS)}, {10})
         self.assertEqual(others.text(3 / os.cpu_count()), "100 %: burner")
 
+    def test_what_was_installed_before_it_could_run_counts(self):
+        rows = [("packages", 60.0, 20.0, 50.0), ("compiling", 100.0, 190.0, 900.0), ("whole (failed: 1)", 161.0, 211.0, 900.0)]
+        self.assertEqual(record.with_before(rows, 30.0, 7.0),
+                         [("packages", 90.0, 27.0, 50.0), ("compiling", 100.0, 190.0, 900.0), ("whole (failed: 1)", 191.0, 218.0, 900.0)])
+
     def test_a_table_has_one_head(self):
         table = self.folder / "times.tsv"
         for _ in range(2):
