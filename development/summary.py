@@ -6,8 +6,8 @@ usage: summary.py [--ci] [--steps FILE] [--table FILE] [--whole] JUNIT_FILE...
 Prints the time of each step (FILE: "seconds<TAB>name<TAB>what pace.py said<TAB>seconds of CPU" a line), the ten slowest
 tests, what was skipped and why, what failed, and in the end "N passed, N failed, N skipped". With --ci a skip that is not among the
 `skips_allowed` of limits.json is a failure, and so is, with --whole, a run that took longer than its `minutes`. These
-are minutes of a machine where pace.py takes `pace_s` seconds: a slower machine is allowed more, in proportion. --table:
-one line for each test. The exit status is 1 after a failure.
+are minutes of a machine where pace.py takes `pace_s` seconds: a slower machine is allowed more, in proportion, up to
+`slower_at_most` times as much. --table: one line for each test. The exit status is 1 after a failure.
 """
 import argparse
 import json
@@ -76,7 +76,8 @@ def report(tests, steps, limits, ci, whole):
         for seconds, name, _, cpu in steps:
             print(f"  {in_minutes(seconds):>9}  {name} ({in_minutes(cpu)} of CPU)")
         total = sum(seconds for seconds, _, _, _ in steps)
-        slower = max(1.0, statistics.median(pace for _, _, pace, _ in steps) / limits["pace_s"])
+        measured = statistics.median(pace for _, _, pace, _ in steps) / limits["pace_s"]
+        slower = min(max(1.0, measured), limits["slower_at_most"])
         allowed = 60 * limits["minutes"] * slower
         why = f"the {limits['minutes']} min of {LIMITS.name}, and {slower:.2f} times as much at this machine's pace"
         cpu = sum(cpu for _, _, _, cpu in steps)

@@ -2,12 +2,15 @@
 """Tests how development/summary.py reads ctest's JUnit files."""
 import contextlib
 import io
+import json
+import re
 import sys
 import tempfile
 import unittest
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
+TREE = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(TREE / "development"))
 
 import summary  # noqa: E402
 
@@ -25,7 +28,7 @@ this machine has no AVX2
     <system-out>SKIPPED only root can become another user</system-out></testcase>
 </testsuite>
 """
-LIMITS = {"minutes": 1, "pace_s": 0.5, "skips_allowed": {"avx2": "a machine without AVX2"}}
+LIMITS = {"minutes": 1, "pace_s": 0.5, "slower_at_most": 1.25, "skips_allowed": {"avx2": "a machine without AVX2"}}
 
 
 class SummaryTest(unittest.TestCase):
@@ -56,6 +59,14 @@ class SummaryTest(unittest.TestCase):
         self.assertEqual(len(wrong), 1)
         self.assertIn("Hosts.OfAnotherUser", wrong[0])
 
+    def test_all_tests_that_boot_a_systemd_may_be_skipped_where_they_cannot(self):
+        folder = TREE / "tests/deploy"
+        calls = re.findall(r"NAME (\w+)[^#]*?/(\w+\.py)", (folder / "CMakeLists.txt").read_text())
+        names = {name for name, script in calls if "require_means()" in (folder / script).read_text()}
+        self.assertGreater(len(names), 2)
+        allowed = json.loads(summary.LIMITS.read_text())["skips_allowed"]
+        self.assertEqual({name for name in names if not any(re.search(each, name) for each in allowed)}, set())
+
     def test_in_ci_the_whole_must_stay_within_its_minutes(self):
         steps = [(50, "building", 0.5, 100), (20, "testing", 0.4, 40)]
         self.assertEqual(self.report(steps=steps)[0], [])
@@ -66,6 +77,12 @@ class SummaryTest(unittest.TestCase):
         self.assertFalse(any("the whole took" in text for text in self.report(ci=True, steps=steps)[0]))
         steps = [(50, "building", 0.7, 100), (23, "testing", 0.6, 46), (1, "linting", 0.5, 2)]
         self.assertTrue(any("1.20 times as much" in text for text in self.report(ci=True, steps=steps)[0]))
+
+    def test_a_much_slower_machine_is_not_allowed_ever_more(self):
+        steps = [(50, "building", 1.5, 100), (24, "testing", 1.5, 40)]
+        self.assertFalse(any("the whole took" in text for text in self.report(ci=True, steps=steps)[0]))
+        steps = [(50, "building", 1.5, 100), (26, "testing", 1.5, 40)]
+        self.assertTrue(any("75 s are allowed" in text for text in self.report(ci=True, steps=steps)[0]))
 
     def test_tells_the_cpu_time_of_each_step_and_of_all(self):
         _, said = self.report(steps=[(50, "building", 0.5, 90), (20, "testing", 0.5, 400)])
