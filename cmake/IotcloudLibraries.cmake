@@ -42,13 +42,19 @@ set(QPID_PROTON_CORE -l:libqpid-proton-core.so.10)
 find_path(QPID_PROTON_CPP_INCLUDE_DIR proton/messaging_handler.hpp REQUIRED)
 find_library(QPID_PROTON_CPP_LIBRARY qpid-proton-cpp REQUIRED)
 
-find_path(ROCKSDB_INCLUDE_DIR rocksdb/db.h REQUIRED)
-find_library(ROCKSDB_LIBRARY rocksdb REQUIRED)
-
-find_path(HIREDIS_INCLUDE_DIR hiredis/hiredis.h REQUIRED)
-find_library(HIREDIS_LIBRARY hiredis REQUIRED)
-
 # Optional: what needs a library that is not here is left out, and everything else is built.
+find_path(ROCKSDB_INCLUDE_DIR rocksdb/db.h)
+find_library(ROCKSDB_LIBRARY rocksdb)
+find_path(HIREDIS_INCLUDE_DIR hiredis/hiredis.h)
+find_library(HIREDIS_LIBRARY hiredis)
+set(STORES_FOUND OFF)
+if(ROCKSDB_INCLUDE_DIR AND ROCKSDB_LIBRARY AND HIREDIS_INCLUDE_DIR AND HIREDIS_LIBRARY)
+  set(STORES_FOUND ON)
+else()
+  message(STATUS "Left out: topology/state (iotcloud::topology_state, bolts with state). It needs RocksDB and hiredis "
+                 "(Debian: librocksdb-dev libhiredis-dev)")
+endif()
+
 pkg_check_modules(ros QUIET IMPORTED_TARGET roscpp geometry_msgs nav_msgs sensor_msgs)
 if(NOT ros_FOUND)
   message(STATUS "Left out: drivers/turtle/ros (turtle_ros.so, a TurtleBot on ROS) and its tests. They need roscpp, "

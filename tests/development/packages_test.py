@@ -1,0 +1,60 @@
+#!/usr/bin/python3
+"""Tests which Debian packages commands of ./dev install on a machine that has none; nothing is installed."""
+import os
+import re
+import shutil
+import subprocess
+import tempfile
+import unittest
+from pathlib import Path
+
+DEV = Path(__file__).resolve().parents[2] / "dev"
+# A user who is not root, no package, and a sudo that refuses: ./dev ends when it has said what it would install.
+STAND_INS = {"id": "echo 1000", "dpkg-query": "exit 1", "sudo": "exit 1"}
+SERVERS = {"rabbitmq-server", "redis-server", "zookeeper"}
+JAVA = {"maven", "openjdk-17-jdk-headless", "openjdk-17-jre-headless"}
+STORES = {"librocksdb-dev", "libhiredis-dev"}
+TESTS = {"libgtest-dev", "stunnel4", "clang", "libroscpp-dev"}
+PICTURES = {"gnuplot-nox"}
+ALL = SERVERS | JAVA | STORES | TESTS | PICTURES
+
+
+class PackagesTest(unittest.TestCase):
+    def setUp(self):
+        folder = tempfile.TemporaryDirectory(prefix="iotcloud-packages-")
+        self.addCleanup(folder.cleanup)
+        self.folder = Path(folder.name)
+        shutil.copy(DEV, self.folder)  # alone: it does not get further than to the packages
+        for name, text in STAND_INS.items():
+            (self.folder / name).write_text(f"#!/bin/sh\n{text}\n")
+            (self.folder / name).chmod(0o755)
+
+    def installed_by(self, *words):
+        """Those of ALL that a command installs, which installs the compiler in any case."""
+        environment = {name: value for name, value in os.environ.items() if name != "IOTCLOUD_STEPS"}
+        done = subprocess.run([self.folder / "dev", *words], capture_output=True, text=True, stdin=subprocess.DEVNULL,
+                              env={**environment, "PATH": f"{self.folder}:{environment['PATH']}"})
+        told = re.search(r"installing \d+ Debian packages: (.*)", done.stdout)
+        self.assertTrue(told, f"{done.stdout}{done.stderr}")
+        self.assertNotEqual(done.returncode, 0)
+        packages = set(told[1].split())
+        self.assertIn("g++", packages)
+        return packages & ALL
+
+    def test_the_demo_in_one_process_installs_no_server_and_no_store(self):
+        self.assertEqual(self.installed_by("demo"), PICTURES)
+        self.assertEqual(self.installed_by("demo", "--cluster") & SERVERS, SERVERS)
+
+    def test_a_benchmark_installs_the_servers_that_it_measures(self):
+        self.assertEqual(self.installed_by("bench", "runtime"), set())
+        self.assertEqual(self.installed_by("bench", "brokers", "--quick", "--only", "rabbitmq"), {"rabbitmq-server"})
+        self.assertEqual(self.installed_by("bench", "brokers", "--only=kafka"), {"maven", "openjdk-17-jdk-headless"})
+        self.assertEqual(self.installed_by("bench", "brokers"), {"rabbitmq-server", "maven", "openjdk-17-jdk-headless"})
+
+    def test_what_builds_or_documents_all_of_the_sdks_installs_the_stores(self):
+        for words in (("build",), ("docs",), ("install", "there"), ("bench", "state")):
+            self.assertEqual(self.installed_by(*words) & STORES, STORES, words)
+
+
+if __name__ == "__main__":
+    unittest.main()
