@@ -81,7 +81,8 @@ def is_loaded_next(row):
 
 
 def run_suite(build, options):
-    """Runs the suite and returns ctest's output. An interrupt ends its tests and their servers too."""
+    """Runs the suite, as many tests at a time as ./dev test does, and returns ctest's output. An interrupt ends its tests and
+    their servers too."""
     command = ["ctest", "--test-dir", str(build), "--output-on-failure", "-j", str(3 * os.cpu_count()), "-LE", "^long$",
                *options]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
