@@ -15,6 +15,7 @@ namespace iotcloud::tests {
 namespace {
 
 using ::testing::Each;
+using ::testing::ElementsAre;
 using ::testing::IsEmpty;
 using ::testing::SizeIs;
 using ::testing::StartsWith;
@@ -59,18 +60,48 @@ class Work : public topology::BasicBolt {
   }
 };
 
+/// Sets a property: whether the message's number is even; of every third message neither.
+class Judge : public topology::BasicBolt {
+ public:
+  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(topology::Fields{"pong", "driverID", "time", "verdict"});
+  }
+  void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
+    const std::string text(tuple.get<Payload>("ping").text());
+    const int number = std::stoi(text.substr(text.rfind(' ')));
+    Values values(tuple.at("ping"), tuple.at("driverID"), tuple.at("time"));
+    values.add(number % 3 == 0 ? topology::Value{} : topology::Value{std::string(number % 2 == 0 ? "even" : "odd")});
+    collector.emit(std::move(values));
+  }
+};
+
+/// A pinger that reads the property `judged` of what it gets.
+class JudgedPinger final : public Pinger {
+ public:
+  void on_message(std::string_view, drivers::Message message) override {
+    const std::string* judged = message.properties.find("judged");
+    Answers::get().add(message.driver_id,
+                       std::string(message.payload.text()) + (judged != nullptr ? " is " + *judged : ""));
+  }
+  static const drivers::Descriptor* descriptor() {
+    static const auto descriptor = drivers::describe<JudgedPinger>("judged", "1.0");
+    return &descriptor;
+  }
+};
+
 class LocalMode : public ::testing::Test {
  protected:
   LocalMode() {
     throws_left = 0;
     static std::atomic<int> number{0};
     options.name = "local-test-" + std::to_string(++number);  // tests do not see each other's servers
-    options.drivers = {{"pinger", Pinger::descriptor()}};
+    options.drivers = {{"pinger", Pinger::descriptor()}, {"judged", JudgedPinger::descriptor()}};
     options.metrics = &metrics;
   }
   topology::Worker& run(local::LocalCluster& cluster, const std::string& yaml = round_trip) {
     topology::ComponentRegistry components;
     components.add_bolt<Work>("test.Work");
+    components.add_bolt<Judge>("test.Judge");
     return cluster.run_topology(topology::TopologyDefinition::parse(yaml, "round_trip.yaml"), std::move(components));
   }
   double metric(const std::string& name) const {
@@ -122,6 +153,29 @@ TEST_F(LocalMode, DoesSoOnSharedChannelsToo) {
     ASSERT_TRUE(Answers::get().wait_for(id, 100));
     EXPECT_EQ(numbers(id), up_to(100));
   }
+}
+
+TEST_F(LocalMode, ADriverReadsThePropertiesThatABoltSets) {
+  local::LocalCluster cluster(options);
+  run(cluster, R"(
+topology.name: judging
+spouts:
+  ping: {broker: rabbitmq, driver: judged, channel: ping, fields: [ping, driverID, time]}
+bolts:
+  judge:
+    class: test.Judge
+    inputs: {from: ping}
+  pong:
+    broker: rabbitmq
+    driver: judged
+    channel: pong
+    fields: [pong, driverID, time, {property: judged, as: verdict}]
+    inputs: {from: judge}
+)");
+  const auto id = cluster.deploy("judged", {{"count", "6"}});
+  ASSERT_TRUE(Answers::get().wait_for(id, 6));
+  EXPECT_THAT(Answers::get().of(id), ElementsAre(id + " 0", id + " 1 is odd", id + " 2 is even", id + " 3",
+                                                 id + " 4 is even", id + " 5 is odd"));
 }
 
 TEST_F(LocalMode, FindsADriverThatWasThereBeforeTheTopology) {
