@@ -6,9 +6,14 @@ function(_iotcloud_test_code target)
 endfunction()
 
 # A test's labels: what it needs (`unit`, `contract`, `server`, `system`, `long`; tests/README.md), its room, which is
-# its folder (below tests/), and the sanitizers under which ./dev test runs it too (`asan`, `tsan`).
+# its folder (below tests/), and the presets under which ./dev test runs it: `release`, `asan`, `tsan`. A unit test that a
+# sanitizer runs is not run in release, too, unless its subject is OPTIMIZED further there.
 function(_iotcloud_test_labels out)
-  cmake_parse_arguments(arg "" "" "LABELS;SANITIZERS" ${ARGN})
+  cmake_parse_arguments(arg "OPTIMIZED" "" "LABELS;SANITIZERS" ${ARGN})
+  set(presets ${arg_SANITIZERS})
+  if(NOT arg_LABELS MATCHES "^unit" OR NOT arg_SANITIZERS OR arg_OPTIMIZED)
+    list(PREPEND presets release)
+  endif()
   list(POP_FRONT arg_LABELS kind)
   if(NOT kind MATCHES "^(unit|contract|server|system|long)$")
     message(FATAL_ERROR "a test is labelled unit, contract, server, system or long, not \"${kind}\"")
@@ -16,7 +21,7 @@ function(_iotcloud_test_labels out)
   file(RELATIVE_PATH room ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
   string(REGEX REPLACE "^tests/" "" room ${room})
   string(REGEX REPLACE "/.*" "" room ${room})
-  set(${out} ${kind} ${room} ${arg_LABELS} ${arg_SANITIZERS} PARENT_SCOPE)
+  set(${out} ${kind} ${room} ${arg_LABELS} ${presets} PARENT_SCOPE)
 endfunction()
 
 # What ./dev test reads before it builds anything (development/choose.py): a line for each test, or for each program whose
@@ -57,16 +62,21 @@ function(_iotcloud_java_label out word)
   endif()
 endfunction()
 
-# The target sanitized_all builds the tests that declare the preset's sanitizers. ./dev test with a choice of tests builds
-# what development/choose.py says.
+# The target tested_all builds the tests that ./dev test runs under the preset. ./dev test with a choice of tests builds what
+# development/choose.py says.
 function(_iotcloud_needed_by_tests)
   cmake_parse_arguments(arg "" "" "TARGETS;LABELS" ${ARGN})
-  if(NOT TARGET sanitized_all)
-    add_custom_target(sanitized_all)
+  if(NOT TARGET tested_all)
+    add_custom_target(tested_all)
   endif()
-  if(arg_TARGETS AND ((asan IN_LIST arg_LABELS AND IOTCLOUD_SANITIZE MATCHES address) OR
-                      (tsan IN_LIST arg_LABELS AND IOTCLOUD_SANITIZE MATCHES thread)))
-    add_dependencies(sanitized_all ${arg_TARGETS})
+  set(preset release)
+  if(IOTCLOUD_SANITIZE MATCHES address)
+    set(preset asan)
+  elseif(IOTCLOUD_SANITIZE MATCHES thread)
+    set(preset tsan)
+  endif()
+  if(arg_TARGETS AND preset IN_LIST arg_LABELS)
+    add_dependencies(tested_all ${arg_TARGETS})
   endif()
 endfunction()
 
@@ -75,8 +85,9 @@ endfunction()
 #   it starts servers from Maven Central, `ros` if it needs ROS, and `serverless` if it is no unit test and starts no
 #   server: ./dev test installs and fetches what the labels of the chosen tests say. A server of tests/servers does not
 #   start for a test whose labels say that it needs none (its environment has IOTCLOUD_TEST_LABELS).
-#   SANITIZERS: those under which ./dev test runs it too: asan if it handles bytes or lifetimes of its own, tsan if it
-#   has threads. Both are the default of `unit` and `contract`; `SANITIZERS none` turns them off.
+#   SANITIZERS: those under which ./dev test runs it: asan if it handles bytes or lifetimes of its own, tsan if it has
+#   threads. Both are the default of `unit` and `contract`; `SANITIZERS none` turns them off. ./dev test does not run a unit
+#   test in release, too, that one of them runs, but for those that say OPTIMIZED: they test what release compiles with -O3.
 #   WHOLE words: its tests share servers that take seconds to start, so ctest runs the program once for each word, with
 #   the tests whose names contain the word. ctest starts the runs with the longest TIMEOUT first, so that none of them
 #   is left to run alone at the end. A word that names Kafka or ActiveMQ adds the label `java`.
@@ -85,7 +96,11 @@ endfunction()
 # A test whose server is unavailable here (tests/servers/private_server.h) exits with IOTCLOUD_TEST_SKIPPED.
 function(iotcloud_test)
   set(skipped 77)
-  cmake_parse_arguments(arg "" "NAME;TIMEOUT;LONG" "SOURCES;USES;LIBRARIES;LABELS;SANITIZERS;WHOLE;SHARDS" ${ARGN})
+  cmake_parse_arguments(arg "OPTIMIZED" "NAME;TIMEOUT;LONG" "SOURCES;USES;LIBRARIES;LABELS;SANITIZERS;WHOLE;SHARDS" ${ARGN})
+  set(optimized)
+  if(arg_OPTIMIZED)
+    set(optimized OPTIMIZED)
+  endif()
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 300)
   endif()
@@ -93,7 +108,7 @@ function(iotcloud_test)
     set(arg_SANITIZERS asan tsan)
   endif()
   list(REMOVE_ITEM arg_SANITIZERS none)
-  _iotcloud_test_labels(labels LABELS ${arg_LABELS} SANITIZERS ${arg_SANITIZERS})
+  _iotcloud_test_labels(labels LABELS ${arg_LABELS} SANITIZERS ${arg_SANITIZERS} ${optimized})
   add_executable(${arg_NAME} ${arg_SOURCES})
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} GTest::gmock_main)
   _iotcloud_test_code(${arg_NAME})
