@@ -11,6 +11,7 @@ import java.util.List;
 import java.util.Map;
 import java.util.Set;
 import java.util.concurrent.ConcurrentHashMap;
+import java.util.concurrent.TimeUnit;
 
 /**
  * A gateway of the original with some instances of one driver: writes their records, sends on their channel `data`, and
@@ -55,8 +56,11 @@ final class Gateway {
 
     /** Sends messages that do not count until a topology answers each driver: what comes before it reads is not for it. */
     private void awaitReaders(List<TSensor> sensors) throws Exception {
-        for (int tries = 0; answered.size() < sensors.size(); tries++) {
-            if (tries == 150) throw new IllegalStateException("no topology answers the drivers within 30 s");
+        long end = System.nanoTime() + TimeUnit.SECONDS.toNanos(Tally.LIMIT_S);
+        while (answered.size() < sensors.size()) {
+            if (System.nanoTime() > end) {
+                throw new IllegalStateException("no topology answers the drivers within " + Tally.LIMIT_S + " s");
+            }
             for (TSensor sensor : sensors) {
                 if (!answered.contains(sensor.getSensorId())) send(sensor, BEFORE);
             }

@@ -28,7 +28,7 @@ final class Records implements AutoCloseable {
         zookeeper = new ZooKeeper(servers, 10_000, event -> {
             if (event.getState() == Watcher.Event.KeeperState.SyncConnected) connected.countDown();
         });
-        if (!connected.await(20, TimeUnit.SECONDS)) throw new IllegalStateException("ZooKeeper does not answer");
+        if (!connected.await(Tally.LIMIT_S, TimeUnit.SECONDS)) throw new IllegalStateException("ZooKeeper does not answer");
     }
 
     /** The channels of that name of all instances of the driver that are deployed, by instance. */

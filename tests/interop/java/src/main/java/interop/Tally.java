@@ -8,9 +8,9 @@ import java.util.concurrent.CountDownLatch;
 import java.util.concurrent.TimeUnit;
 import java.util.stream.Collectors;
 
-/** Counts messages that are awaited once each. Thread safe. */
+/** Counts messages that are awaited once each, for at most LIMIT_S. Thread safe. */
 final class Tally {
-    private static final int LIMIT_S = 30;
+    static final int LIMIT_S = 120;
     private final Set<String> seen = new HashSet<>();
     private final CountDownLatch missing;
     private final Map<String, Integer> others = new TreeMap<>();
