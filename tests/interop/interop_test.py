@@ -2,7 +2,7 @@
 """Programs of the original system on the data plane, with ours: a Java topology reads our drivers and answers them, and
 our topology reads the drivers of a Java gateway and answers them, on RabbitMQ and Kafka. The Java programs
 (tests/interop/java) know nothing of ours: they find channels in ZooKeeper by the original's rules, and send back every
-header that they get. Prints how many messages were sent, received and lost, how many had wrong headers, and which further
+header that they get. Each direction is counted where it ends, in our topology by tally_bolt.cc. Prints how many messages were sent, received and lost, how many had wrong headers, and which further
 headers a program of the original sees; writes the same as figures to build/bench/interop.json (`./dev bench keep interop`).
 
 usage: interop_test.py BUILD_DIR
@@ -10,6 +10,7 @@ Exit status 77: skipped, because a server or a library cannot be had.
 """
 
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -55,15 +56,22 @@ JAVA_DRIVERS = (("java_exclusive", RABBITMQ, "exclusive", 2), ("java_shared", RA
                 ("java_kafka", KAFKA, "shared", 2))
 
 
-def topology_yaml():
-    lines = ['zk.servers: ["{zookeeper}"]', "topology.name: answers"]
+def tally_of(out, name):
+    """The file in which our topology says what it got of a Java gateway's driver (tally_bolt.cc)."""
+    return out / f"{name}-tally.json"
+
+
+def topology_yaml(out, library):
+    lines = ['zk.servers: ["{zookeeper}"]', "topology.name: answers", f'topology.library: "{library}"']
     spouts, bolts = [], []
     for name, broker, _, _ in JAVA_DRIVERS:
         spouts.append(f"  from_{name}: {{broker: {broker.lower()}, driver: {name}, channel: data, "
                       "fields: [data, driverID, time, gatewayID, {property: battery}]}")
+        bolts.append(f"  tally_{name}: {{class: test.Tally, parallelism: 1, conf: {{report: {tally_of(out, name)}, gateway: java-site}}, "
+                     f"inputs: {{from: from_{name}}}}}")
         bolts.append(f"  to_{name}: {{broker: {broker.lower()}, driver: {name}, channel: control, "
                      "fields: [data, driverID, time, {property: battery}, {property: seen, as: gatewayID}], "
-                     f"inputs: {{from: from_{name}}}}}")
+                     f"inputs: {{from: tally_{name}}}}}")
     return "\n".join([*lines, "spouts:", *spouts, "bolts:", *bolts, ""])
 
 
@@ -111,12 +119,20 @@ def with_java_topology(cluster, java, servers, row):
 
 def with_java_gateway(java, servers, row):
     """Drivers of a Java gateway and our topology, which has a queue of its own: the gateway sends nothing that counts
-    before it is answered."""
+    before it is answered. Returns what the gateway sent and got back."""
     name, broker, kind, instances = row
     java.say("gateway", *servers[broker], name, COUNT, instances, str(kind == "shared").lower())
-    told = java.figures()
+    return java.figures()
+
+
+def ways_through_our_topology(row, told, tally):
+    """The figures of both directions. `tally`: what our topology counted; it sends on what it gets."""
+    name, broker, kind, instances = row
+    require(tally, f"our topology did not say what it got of {name}")
     layout = f"{kind}, {instances} instances"
-    return "Java gateway -> our topology -> Java gateway", broker, layout, told["sent"], told
+    # A spout reads the properties that its topology names: others are not seen.
+    yield "Java gateway -> our topology", broker, layout, told["sent"], {**tally, "others": "-"}
+    yield "our topology -> Java gateway", broker, layout, tally["received"], told
 
 
 def run(work, build_dir, plugins, class_path):
@@ -125,14 +141,17 @@ def run(work, build_dir, plugins, class_path):
         kafka, rabbitmq = cluster.server("kafka"), cluster.server("rabbitmq").rstrip("/")
         cluster.start(gateways=1, brokers=[f'rabbitmq: {{type: rabbitmq, urls: ["{rabbitmq}"]}}',
                                            f'kafka: {{type: kafka, urls: ["{kafka}"]}}'])
-        cluster.topology("answers", topology_yaml())
+        cluster.topology("answers", topology_yaml(cluster.out, plugins / "tally_bolt.so"))
         java = JavaPrograms(cluster, class_path)
         zookeeper = cluster.zookeeper.removeprefix("zookeeper://")
         servers = {RABBITMQ: (zookeeper, "rabbitmq", rabbitmq), KAFKA: (zookeeper, "kafka", kafka)}
         cluster.wait_until_ready()
         rows = [row for driver in DRIVERS for row in with_java_topology(cluster, java, servers, driver)]
-        rows += [with_java_gateway(java, servers, driver) for driver in JAVA_DRIVERS]
+        told = [with_java_gateway(java, servers, driver) for driver in JAVA_DRIVERS]
         cluster.require_alive()
+        cluster.end("answers", signal.SIGTERM)  # its bolts write what they counted
+        for driver, answer in zip(JAVA_DRIVERS, told):
+            rows += ways_through_our_topology(driver, answer, result_of(tally_of(cluster.out, driver[0])))
     return rows
 
 
@@ -144,6 +163,8 @@ def figures_of(rows):
                "ratio": got["received"] / sent if sent else None, "target": "all", "met": 0 < sent == got["received"]}
         for what, value in (("lost", sent - got["received"]), ("twice", got["twice"]), ("wrong headers", got["wrong"])):
             yield {"name": f"{name}: {what}", "value": value, "unit": "messages", "target": "none", "met": value == 0}
+        if got["others"] == "-":
+            continue
         told = str(got["others"]).split(",")
         yield {"name": f"{name}: other headers", "value": 0 if told == ["none"] else sum(int(each.rpartition("=")[2]) for each in told),
                "unit": "" if told == ["none"] else "of " + ", ".join(each.rpartition("=")[0] or "a driver's message" for each in told),
@@ -160,10 +181,10 @@ def main():
     except (Unavailable, private_server.Unavailable) as error:
         print(f"skipped: {error}")
         return SKIPPED
-    print(f"{'messages':<46} {'broker':<9} {'channels':<46} {'sent':>5} {'received':>9} {'lost':>5} {'twice':>6} "
+    print(f"{'messages':<30} {'broker':<9} {'channels':<46} {'sent':>5} {'received':>9} {'lost':>5} {'twice':>6} "
           f"{'wrong headers':>14}  others")
     for way, broker, kind, sent, got in rows:
-        print(f"{way:<46} {broker:<9} {kind:<46} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
+        print(f"{way:<30} {broker:<9} {kind:<46} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
               f"{got['twice']:>6} {got['wrong']:>14}  {got['others']}")
     figures.write(ROOT / "build/bench/interop.json", "./dev bench interop", begun,
                   {"versions": versions.asked(build_dir, "rabbitmq", "kafka")}, list(figures_of(rows)))
