@@ -2,11 +2,11 @@
 """State in Redis, while workers come and go, are killed (kill -9) and frozen past their session at random, and Redis is
 killed and started again: a bolt counts the messages of each driver, and every count must be exact.
 
-usage: state_test.py BUILD_DIR [--seconds N] [--seed N]      (./dev bench state builds, and runs this file)
+usage: state_test.py BUILD_DIR [--seconds N] [--seed N] [--json FILE]      (./dev bench state builds, and runs this file)
 
 A message that comes again is recognised by its number, of which the bolt keeps a record in the same state
-(counting_bolt.cc). Prints the seed; `--seed N` repeats the choices. Writes the counts as figures to
-build/bench/state.json (`./dev bench keep state`).
+(counting_bolt.cc). Prints the seed; `--seed N` repeats the choices. `./dev bench state` writes the counts as figures
+(`./dev bench keep state`).
 """
 
 import argparse
@@ -107,6 +107,7 @@ def main():
     parser.add_argument("build")
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--json", type=Path, help="writes the counts to this file")
     given = parser.parse_args()
     begun = figures.begin(ROOT)
     choose = random.Random(given.seed)
@@ -124,8 +125,9 @@ def main():
         instances = [driver["instance"] for driver in cluster.json("drivers")]
         begin = time.monotonic()
         kinds = ["killed", "frozen", "Redis killed"]  # each once at least
-        while time.monotonic() - begin < given.seconds or kinds:
+        while (spent := time.monotonic() - begin) < given.seconds or kinds:
             kind = kinds.pop() if kinds else choose.choice(list(faults.done))
+            print(f"after {spent:.0f} of {given.seconds} s: {kind}", flush=True)
             faults.one(kind)
             time.sleep(choose.uniform(1, 4))
         store = Store(url)
@@ -133,15 +135,17 @@ def main():
         def counts():
             return [store.value("count of " + instance) for instance in instances]
 
+        print("no more faults; waiting until every message is counted", flush=True)
         wait_for("every message is counted", lambda: sum(counts()) >= DRIVERS * count, given.seconds + 90)
         totals = cluster.totals(60)
         found, again = counts(), sum(store.value("again of " + instance) for instance in instances)
         cluster.require_alive()
     print(", ".join(f"{number} x {kind}" for kind, number in faults.done.items()))
     print(f"{DRIVERS} drivers, {count} messages each; counted: {found}; {again} came again and were recognised", flush=True)
-    figures.write(ROOT / "build/bench/state.json", f"./dev bench state --seconds {given.seconds} --seed {given.seed}",
-                  begun, {"versions": versions.asked(given.build, "redis", "rabbitmq", "zookeeper")},
-                  list(figures_of(faults, count, found, again, totals)))
+    if given.json:
+        figures.write(given.json, f"./dev bench state --seconds {given.seconds} --seed {given.seed}", begun,
+                      {"versions": versions.asked(given.build, "redis", "rabbitmq", "zookeeper")},
+                      list(figures_of(faults, count, found, again, totals)))
     if found != [count] * DRIVERS:
         raise SystemExit("a count is not exact")
     finish("state in Redis", totals)

@@ -3,12 +3,13 @@
 our topology reads the drivers of a Java gateway and answers them, on RabbitMQ and Kafka. The Java programs
 (tests/interop/java) know nothing of ours: they find channels in ZooKeeper by the original's rules, and send back every
 header that they get. Each direction is counted where it ends, in our topology by tally_bolt.cc. Prints how many messages were sent, received and lost, how many had wrong headers, and which further
-headers a program of the original sees; writes the same as figures to build/bench/interop.json (`./dev bench keep interop`).
+headers a program of the original sees; `./dev bench interop` writes the same as figures (`./dev bench keep interop`).
 
-usage: interop_test.py BUILD_DIR
+usage: interop_test.py BUILD_DIR [--json FILE]
 Exit status 77: skipped, because a server or a library cannot be had.
 """
 
+import argparse
 import shutil
 import signal
 import subprocess
@@ -172,7 +173,11 @@ def figures_of(rows):
 
 
 def main():
-    build_dir, begun = Path(sys.argv[1]).resolve(), figures.begin(ROOT)
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("build", type=Path)
+    parser.add_argument("--json", type=Path, help="writes the figures to this file")
+    given = parser.parse_args()
+    build_dir, begun = given.build.resolve(), figures.begin(ROOT)
     try:
         class_path = build()
         work = build_dir / "interop"
@@ -186,8 +191,9 @@ def main():
     for way, broker, kind, sent, got in rows:
         print(f"{way:<30} {broker:<9} {kind:<46} {sent:>5} {got['received']:>9} {sent - got['received']:>5} "
               f"{got['twice']:>6} {got['wrong']:>14}  {got['others']}")
-    figures.write(ROOT / "build/bench/interop.json", "./dev bench interop", begun,
-                  {"versions": versions.asked(build_dir, "rabbitmq", "kafka")}, list(figures_of(rows)))
+    if given.json:
+        figures.write(given.json, "./dev bench interop", begun, {"versions": versions.asked(build_dir, "rabbitmq", "kafka")},
+                      list(figures_of(rows)))
     bad = [row for row in rows if row[3] == 0 or row[3] != row[4]["received"] or row[4]["twice"] or row[4]["wrong"]]
     require(not bad, f"messages were lost, came twice or had wrong headers: {bad}")
     return 0
