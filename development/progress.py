@@ -3,6 +3,7 @@
 
 usage: ninja ... | progress.py build WHAT
        ctest ... | progress.py tests WHAT [--costs FILE]...      FILE: ctest's CTestCostData.txt of earlier runs
+       cmake ... | progress.py configuration WHAT
        ... | progress.py other WHAT                              another program, which does not say how far it is
 
 Reads what the program prints. On a terminal one line is written over and over, otherwise a line every 30 s. Warnings,
@@ -84,6 +85,23 @@ class Tests:
         return left + failed, ", ".join(self.running[-3:])
 
 
+class Configuration:
+    """Follows CMake's output, of which a person who waits sees the last line; all of it is in the file that the caller keeps."""
+
+    def __init__(self, _costs):
+        self.now = ""
+
+    def take(self, line):
+        self.now = line.removeprefix("-- ").strip() or self.now
+        return None
+
+    def share(self):
+        return 0.0
+
+    def text(self):
+        return "under way", self.now
+
+
 class Other:
     """Follows a program of which only the time is known that it has taken."""
 
@@ -100,7 +118,7 @@ class Other:
         return "under way", ""
 
 
-KINDS = {"build": Build, "tests": Tests, "other": Other}
+KINDS = {"build": Build, "tests": Tests, "configuration": Configuration, "other": Other}
 
 
 def read_costs(files):

@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""Tests how development/progress.py reads the output of ninja and ctest."""
+"""Tests how development/progress.py reads the output of ninja, ctest and CMake."""
 import io
 import sys
 import unittest
@@ -43,6 +43,14 @@ class TestsTest(unittest.TestCase):
         tests = progress.Tests({"Short": 1.0, "Long": 99.0})
         self.take(tests, " 1/2 Test  #1: Long ....   Passed    50.00 sec")
         self.assertEqual(tests.share(), 0.99)
+
+
+class ConfigurationTest(unittest.TestCase):
+    def test_tells_the_last_line_and_passes_on_none(self):
+        configuration = progress.Configuration({})
+        self.assertIsNone(configuration.take("-- Found OpenSSL: /usr/lib/libcrypto.so"))
+        self.assertIsNone(configuration.take(""))
+        self.assertEqual(configuration.text(), ("under way", "Found OpenSSL: /usr/lib/libcrypto.so"))
 
 
 class TellerTest(unittest.TestCase):
