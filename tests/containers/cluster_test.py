@@ -16,6 +16,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -48,13 +49,19 @@ class Cluster:
         docker.environment.update(told, COMPOSE_PROJECT_NAME=PROJECT)
 
     def dev(self, *words, quiet=False):
-        """Runs ./dev cluster WORDS and returns what it printed."""
-        done = self.docker.inside(ROOT / "dev", "cluster", *words, capture_output=True, text=True)
-        if not quiet:
-            print(done.stdout, end="", flush=True)
-        if done.returncode:
-            raise Failed(f"./dev cluster {shlex.join(words)}: status {done.returncode}\n{done.stdout}{done.stderr}")
-        return done.stdout
+        """Runs ./dev cluster WORDS and returns what it printed; unless it is to be quiet a person sees that line by line."""
+        with (tempfile.TemporaryFile("w+") as errors,
+              subprocess.Popen([*self.docker.enter, ROOT / "dev", "cluster", *words], env=self.docker.environment, text=True,
+                               stdout=subprocess.PIPE, stderr=errors) as process):
+            lines = []
+            for line in process.stdout:
+                lines.append(line)
+                if not quiet:
+                    print(line, end="", flush=True)
+            if process.wait():
+                errors.seek(0)
+                raise Failed(f"./dev cluster {shlex.join(words)}: status {process.returncode}\n{''.join(lines)}{errors.read()}")
+        return "".join(lines)
 
     def cli(self, *words):
         return self.dev("cli", *words, quiet=True)
