@@ -7,9 +7,10 @@ usage: lint.py --build FOLDER [--since COMMIT] [--in-time]
 It looks at all sources, or at those sources and headers that changed since COMMIT; files that git does not know yet
 belong to both. Each file is read alone, so one that forgets an include is found. With --in-time no further file is
 started after the `lint_seconds` of limits.json, which are a part of its `minutes`; the last line says how many files
-were left out, and which. A file that was found clean is not looked at again until it, a header, a definition in Thrift,
-a CMake file or clang-tidy's options change: FOLDER/clean remembers it. The exit status is 1 when clang-tidy found
-something.
+were left out, and which. FOLDER/left_out names them, too: the next run looks at them first, whatever has changed since its
+COMMIT, and ./dev test tells them in its summary. A file that was found clean is not looked at again until it, a header, a
+definition in Thrift, a CMake file or clang-tidy's options change: FOLDER/clean remembers it. The exit status is 1 when
+clang-tidy found something.
 """
 import argparse
 import concurrent.futures
@@ -44,6 +45,11 @@ def chosen(since):
     if since is not None:
         return sorted(file for file in changed_files(since) if file.endswith((".cc", ".h")))
     return sorted(git_files("ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", "*.cc"))
+
+
+def left_out_before(file):
+    """The files that the run before had no time for."""
+    return file.read_text(encoding="utf-8").splitlines() if file.exists() else []
 
 
 def look_at(build, file, remembered):
@@ -90,9 +96,10 @@ def main():
     given = parser.parse_args()
     seconds = json.loads(LIMITS.read_text(encoding="utf-8"))["lint_seconds"] if given.in_time else float("inf")
     remembered = Remembered(Path(given.build) / "clean")
-    named = [file for file in chosen(given.since) if Path(file).exists()]
+    memory = Path(given.build) / "left_out"
+    named = [file for file in dict.fromkeys([*left_out_before(memory), *chosen(given.since)]) if Path(file).exists()]
     files = [file for file in named if not remembered.is_clean(file)]
-    print(f"lint: {len(named)} files" + (f" changed since {given.since[:12]}" if given.since else "") +
+    print(f"lint: {len(named)} files" + (f" changed since {given.since[:12]}, or left out before" if given.since else "") +
           f"; {len(named) - len(files)} are as they were when they were found clean", flush=True)
     began = told = time.monotonic()
     done, bad = 0, 0
@@ -125,6 +132,7 @@ def main():
     if left_out:
         closing += f"; {len(left_out)} left out after {seconds:.0f} s: {' '.join(left_out)}"
     print(closing)
+    memory.write_text("".join(f"{file}\n" for file in left_out), encoding="utf-8")
     return 1 if bad else 0
 
 

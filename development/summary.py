@@ -1,13 +1,14 @@
 #!/usr/bin/python3
 """Summarises a test run from the JUnit files that ctest wrote.
 
-usage: summary.py [--ci] [--steps FILE] [--table FILE] [--whole] JUNIT_FILE...
+usage: summary.py [--ci] [--steps FILE] [--table FILE] [--left-out FILE] [--whole] JUNIT_FILE...
 
 Prints the time of each step (FILE: "seconds<TAB>name<TAB>what pace.py said<TAB>seconds of CPU" a line), the ten slowest
 tests, what was skipped and why, what failed, and in the end "N passed, N failed, N skipped". With --ci a skip that is not among the
 `skips_allowed` of limits.json is a failure, and so is, with --whole, a run that took longer than its `minutes`. These
 are minutes of a machine where pace.py takes `pace_s` seconds: a slower machine is allowed more, in proportion, up to
-`slower_at_most` times as much. --table: one line for each test. The exit status is 1 after a failure.
+`slower_at_most` times as much. --table: one line for each test. --left-out: a file that names the sources that lint.py had no
+time for; they are told before the last line. The exit status is 1 after a failure.
 """
 import argparse
 import json
@@ -121,6 +122,7 @@ def main():
     parser.add_argument("--whole", action="store_true")
     parser.add_argument("--steps", type=Path)
     parser.add_argument("--table", type=Path)
+    parser.add_argument("--left-out", type=Path)
     parser.add_argument("files", nargs="+", type=Path)
     given = parser.parse_args()
     limits = json.loads(LIMITS.read_text(encoding="utf-8"))
@@ -133,6 +135,9 @@ def main():
     wrong = report(tests, steps, limits, given.ci, given.whole)
     if given.table:
         write_table(given.table, tests)
+    if given.left_out and given.left_out.exists() and (names := given.left_out.read_text(encoding="utf-8").split("\n")[:-1]):
+        print(f"\nclang-tidy had no time for {len(names)} files, and looks at them first the next time (or ./dev lint COMMIT): "
+              f"{' '.join(names)}")
     count = {outcome: sum(test.outcome == outcome for test in tests) for outcome in ("passed", "failed", "skipped")}
     print(f"\n{count['passed']} passed, {count['failed'] + len(wrong)} failed, {count['skipped']} skipped")
     return 1 if count["failed"] or wrong or not tests else 0

@@ -82,6 +82,20 @@ class LintTest(unittest.TestCase):
         self.assertTrue(said.endswith("; 2 left out after 0 s: bad.cc good.cc\n"), said)
         self.assertEqual(self.lint(status=1)[0], ["bad.cc", "good.cc"])
 
+    def test_what_was_left_out_is_looked_at_in_the_next_run_whatever_changed_there(self):
+        limits = self.tree / "development/limits.json"
+        text = limits.read_text()
+        limits.write_text(json.dumps({**json.loads(text), "lint_seconds": 0}))
+        self.write("good.cc", "int better;")
+        self.lint("--since", "HEAD", "--in-time", status=0)
+        self.assertEqual((self.tree / "build/left_out").read_text(), "good.cc\n")
+        self.git("commit", "-q", "-a", "-m", "better")
+        self.write("a.cc", "int a;")
+        limits.write_text(text)
+        self.assertEqual(self.lint("--since", "HEAD", "--in-time", status=0)[0], ["a.cc", "good.cc"])
+        self.assertEqual((self.tree / "build/left_out").read_text(), "")
+        self.assertEqual(self.lint("--since", "HEAD", status=0)[0], [])
+
     def test_since_a_commit_what_changed_and_what_git_does_not_know_is_looked_at(self):
         self.write("good.cc", "int better;")
         self.write("new.cc", "int it;")

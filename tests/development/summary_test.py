@@ -8,6 +8,7 @@ import sys
 import tempfile
 import unittest
 from pathlib import Path
+from unittest import mock
 
 TREE = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(TREE / "development"))
@@ -88,6 +89,18 @@ class SummaryTest(unittest.TestCase):
         _, said = self.report(steps=[(50, "building", 0.5, 90), (20, "testing", 0.5, 400)])
         self.assertIn("50 s  building (90 s of CPU)", said)
         self.assertIn("70 s  in all (8.2 min of CPU)", said)
+
+    def test_names_files_that_clang_tidy_had_no_time_for(self):
+        with tempfile.TemporaryDirectory() as folder:
+            junit, left_out = Path(folder, "tests.xml"), Path(folder, "left_out")
+            junit.write_text(JUNIT)
+            for names, said in (("a.cc\nb c.h\n", True), ("", False)):
+                left_out.write_text(names)
+                out = io.StringIO()
+                with mock.patch.object(sys, "argv", ["summary.py", "--left-out", str(left_out), str(junit)]), \
+                        contextlib.redirect_stdout(out):
+                    summary.main()
+                self.assertEqual("no time for 2 files" in out.getvalue() and "a.cc b c.h" in out.getvalue(), said)
 
     def test_names_the_slowest_first(self):
         _, said = self.report()
