@@ -35,7 +35,7 @@ class Image(unittest.TestCase):
 
     def test_compiles_with_the_packages_of_dev(self):
         stage = words_of(self.dockerfile, r"AS build\n.*?--no-install-recommends((?:[^\n]*\\\n)*[^\n]*)\n")
-        needed = words_of(self.dev, r"\nbuild_packages=\(([^)]*)\)") | words_of(self.dev, r"\nros_packages=\(([^)]*)\)")
+        needed = set().union(*(words_of(self.dev, rf"\n{kind}_packages=\(([^)]*)\)") for kind in ("build", "store", "ros")))
         self.assertEqual(stage, needed - NOT_IN_STAGE - {"python3-rosmaster", "libsasl2-modules"})
 
     def test_has_the_libraries_that_component_libraries_link(self):
