@@ -116,6 +116,7 @@ class LocalMode : public ::testing::Test {
     const auto texts = Answers::get().of(id);
     EXPECT_THAT(texts, Each(StartsWith(id + " ")));
     std::vector<int> found;
+    found.reserve(texts.size());
     for (const auto& text : texts) found.push_back(std::stoi(text.substr(id.size())));
     return found;
   }
@@ -239,6 +240,7 @@ TEST_F(LocalMode, SharesTheDriversBetweenTwoWorkersAndMovesThemWhenOneStops) {
   auto& first = run(cluster);
   auto& second = run(cluster);
   std::vector<std::string> ids;
+  ids.reserve(4);
   for (int i = 0; i < 4; ++i) ids.push_back(cluster.deploy("pinger"));
   for (const auto& id : ids) ASSERT_TRUE(Answers::get().wait_for(id, 20));
   const auto received = [](const topology::Worker& worker) { return worker.snapshot().component("ping").emitted; };
