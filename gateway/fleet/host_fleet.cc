@@ -22,8 +22,15 @@ std::chrono::milliseconds next_delay(std::chrono::milliseconds last, const Resta
   return last.count() == 0 ? policy.first : std::min(last * 2, policy.longest);
 }
 
-DriverName driver_name(const discovery::OrderRecord& order) {
-  return order.driver.empty() ? DriverName(order.plugin.substr(0, order.plugin.rfind('.'))) : order.driver;
+/// The name of an instance's driver: what its order says, or else its plugin's bytes. \return empty: not known
+DriverName driver_of(const discovery::OrderRecord& order, const HostOrder& host) {
+  return order.driver.empty() ? host.identity.driver : order.driver;
+}
+
+/// The same for what is shown before a host reports.
+DriverName driver_name(const discovery::OrderRecord& order, const HostOrder& host) {
+  const DriverName known = driver_of(order, host);
+  return known.empty() ? DriverName(order.plugin.substr(0, order.plugin.rfind('.'))) : known;
 }
 
 /// Instances with the same key share a host. The key of an uploaded plugin contains the SHA-256 of its bytes, so each
@@ -258,10 +265,11 @@ void HostFleet::renew(config::Clock::Instant confirmed) {
 void HostFleet::create(const discovery::OrderRecord& order) {
   auto host = host_for(order);
   auto& member = members_[order.instance];
-  member.spec = InstanceSpec{order, placement_.place(driver_name(order))};
+  const DriverName driver = driver_name(order, host->order);
+  member.spec = InstanceSpec{order, placement_.place(driver)};
   member.host = host;
   member.status.instance = order.instance;
-  member.status.driver = driver_name(order);
+  member.status.driver = driver;
   member.started = options_.clock->now();
   host->instances.insert(order.instance);
   report(member, DriverState::deployed, "");
@@ -303,13 +311,14 @@ void HostFleet::report(Member& member, DriverState state, const std::string& rea
 
 std::string HostFleet::contradiction_of(const RunningHost& running) const {
   for (const auto& instance : running.instances) {
-    if (std::string untrue = contradiction_of(instance); !untrue.empty()) return untrue;
+    if (std::string untrue = contradiction_of(instance, running.order); !untrue.empty()) return untrue;
   }
   return "";
 }
 
-std::string HostFleet::contradiction_of(const HostedInstance& instance) const {
-  return contradiction(instance.status, instance.spec.order, options_.gateway, placement_.brokers());
+std::string HostFleet::contradiction_of(const HostedInstance& instance, const HostOrder& host) const {
+  const auto& order = instance.spec.order;
+  return contradiction(instance.status, order, driver_of(order, host), options_.gateway, placement_.brokers());
 }
 
 /// Ends a host whose report cannot be true: other processes would follow it. Nobody starts it again but a person.
@@ -326,7 +335,7 @@ void HostFleet::end_liar(const std::shared_ptr<Host>& host, const std::string& u
 void HostFleet::heard(const std::shared_ptr<Host>& host, const InstanceStatus& status) {
   const auto found = members_.find(status.instance);
   if (found == members_.end() || found->second.host != host || !host->untrue.empty()) return;
-  if (const std::string untrue = contradiction_of({found->second.spec, status}); !untrue.empty()) {
+  if (const std::string untrue = contradiction_of({found->second.spec, status}, host->order); !untrue.empty()) {
     end_liar(host, untrue);
     return;
   }

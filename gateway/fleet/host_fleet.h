@@ -95,7 +95,7 @@ class HostFleet {
   void launch(const std::shared_ptr<Host>& host);
   void heard(const std::shared_ptr<Host>& host, const InstanceStatus& status);
   std::string contradiction_of(const RunningHost& running) const;
-  std::string contradiction_of(const HostedInstance& instance) const;
+  std::string contradiction_of(const HostedInstance& instance, const HostOrder& host) const;
   void end_liar(const std::shared_ptr<Host>& host, const std::string& untrue);
   void driver_failed(const std::shared_ptr<Host>& host, Member& member, const InstanceStatus& status);
   void start_driver_again(const std::shared_ptr<Host>& host, const discovery::InstanceId& instance);

@@ -19,6 +19,14 @@ namespace iotcloud::gateway {
 
 namespace fs = std::filesystem;
 
+namespace {
+
+discovery::DriverName driver_name(const config::DriverDeclaration& declaration, const std::string& plugin) {
+  return discovery::DriverName(declaration.driver.empty() ? plugin.substr(0, plugin.rfind('.')) : declaration.driver);
+}
+
+}  // namespace
+
 PluginSource::PluginSource(std::string folder, std::shared_ptr<processes::PluginStore> store,
                            std::shared_ptr<const security::TrustedKeys> trust)
     : folder_(std::move(folder)),
@@ -56,6 +64,17 @@ PluginSource::Found PluginSource::find(const HostOrder& order) {
   found.isolated = examined.isolated;
   found.exactly = trust_->requires_signature() || !order.sha256.empty();
   return found;
+}
+
+discovery::DriverName PluginSource::driver_of(const HostOrder& order) const try {
+  check_plugin_file_name(order.plugin);
+  const auto path = order.sha256.empty() ? folder_ + "/" + order.plugin
+                    : store_             ? store_->path_of(order.sha256)
+                                         : std::optional<std::string>();
+  if (!path) return {};
+  return driver_name(config::declaration_in(processes::read_file(*path, 0)), order.plugin);
+} catch (const config::Error&) {
+  return {};
 }
 
 std::vector<discovery::KnownPlugin> PluginSource::all(const std::map<std::string, std::string>& names) {
@@ -123,8 +142,6 @@ PluginSource::Examined PluginSource::examine(const std::string& path, const std:
   PluginIdentity& identity = found.identity;
   identity.sha256 = security::sha256_hex(content);
   found.size = static_cast<std::int64_t>(content.size());
-  found.declaration = config::to_json(config::declaration_in(content));
-  found.isolated = content.find(IOTCLOUD_DRIVER_ISOLATION_MARK) != std::string::npos;
   if (!order.sha256.empty() && identity.sha256 != order.sha256)
     throw config::Error(
         fmt::format("{}: it was sent with the SHA-256 {}, but {} has another now; send it again: iotcloud "
@@ -133,6 +150,11 @@ PluginSource::Examined PluginSource::examine(const std::string& path, const std:
   const std::string signature = signature_stamp == config::FileStamp{} ? "" : processes::read_file(signature_path, 0);
   identity.signed_by = trust_->admit(order.plugin, content, signature);
   if (!identity.signed_by.empty()) found.signature = security::parse_plugin_signature(signature);
+  // What the plugin says of itself is read once its signature, if one is required, is known to be good.
+  const auto declaration = config::declaration_in(content);
+  identity.driver = driver_name(declaration, order.plugin);
+  found.declaration = config::to_json(declaration);
+  found.isolated = content.find(IOTCLOUD_DRIVER_ISOLATION_MARK) != std::string::npos;
   const config::MutexLock lock(mutex_);
   examined_[path] = {basis, found};
   return found;

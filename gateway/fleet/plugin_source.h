@@ -39,6 +39,8 @@ class PluginSource {
   /// \throws config::Error if the plugin is missing, is not the one that the order names, or lacks a required
   /// signature.
   Found find(const HostOrder& order);
+  /// PluginIdentity::driver of the plugin that the order names, whatever its signature; empty: it is not there.
+  discovery::DriverName driver_of(const HostOrder& order) const;
   /// All plugins of the folder, and all that were sent. They are read, not loaded. \param names as in
   /// HostLauncher::plugins()
   std::vector<discovery::KnownPlugin> all(const std::map<std::string, std::string>& names);

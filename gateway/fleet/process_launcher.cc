@@ -309,7 +309,9 @@ std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& ga
   for (const auto& socket : found) {
     auto host =
         examine(options_.state_dir, socket, proofs_, silence, options_.hang_limit, gateway, account_.get(), starter_);
-    if (host) hosts.push_back(std::move(*host));
+    if (!host) continue;
+    host->order.identity.driver = source_.driver_of(host->order);  // what the host says of itself proves nothing
+    hosts.push_back(std::move(*host));
   }
   return hosts;
 }

@@ -45,9 +45,11 @@ std::string wrong_names(const ChannelRecord& channel, const InstanceStatus& told
 }  // namespace
 
 std::string contradiction(const InstanceStatus& told, const discovery::OrderRecord& order,
-                          const discovery::GatewayId& gateway, const std::vector<brokers::BrokerSetting>& brokers) {
-  if (told.instance != order.instance || (!order.driver.empty() && told.driver != order.driver))
-    return fmt::format("it says that it is {} {}", told.driver, told.instance);
+                          const discovery::DriverName& driver, const discovery::GatewayId& gateway,
+                          const std::vector<brokers::BrokerSetting>& brokers) {
+  if (told.instance != order.instance || (!driver.empty() && told.driver != driver))
+    return fmt::format("it says that it is {} {}, and its order is for {} {}", told.driver, told.instance,
+                       driver.empty() ? told.driver : driver, order.instance);
   try {
     check_name("driver name", told.driver);
     for (const auto& channel : told.channels) check_name("channel name", channel.name);

@@ -75,6 +75,8 @@ inline void parse(int number, Removal& removal) {
 struct PluginIdentity {
   std::string sha256{};     ///< empty: not known
   std::string signed_by{};  ///< the trusted key that signed it; empty: none
+  /// The driver's name in these bytes, or else in the file's name; empty: not known. A host does not pass it on.
+  discovery::DriverName driver{};
   friend bool operator==(const PluginIdentity&, const PluginIdentity&) = default;
 };
 
@@ -84,7 +86,7 @@ struct AsIdentityPair {
     return {plugin.sha256, plugin.signed_by};
   }
   static void from(const std::pair<std::string, std::string>& pair, PluginIdentity& plugin) {
-    plugin = {pair.first, pair.second};
+    plugin = {pair.first, pair.second, {}};
   }
 };
 

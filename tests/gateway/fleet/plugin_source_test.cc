@@ -23,11 +23,11 @@ TEST_F(PluginSourceTest, APluginOfTheFolderIsKnownByItsBytesAndItsSigner) {
   write("turtle.so", "abc");
   auto found = source(false).find(wants("turtle.so"));
   EXPECT_EQ(found.path, folder_ / "turtle.so");
-  EXPECT_EQ(found.identity, (PluginIdentity{security::sha256_hex("abc"), ""}));
+  EXPECT_EQ(found.identity, (PluginIdentity{security::sha256_hex("abc"), "", "turtle"_driver}));
   EXPECT_FALSE(found.exactly);
   write("turtle.so.sig", signature_of("abc"));
   found = source(true).find(wants("turtle.so"));
-  EXPECT_EQ(found.identity, (PluginIdentity{security::sha256_hex("abc"), "lab"}));
+  EXPECT_EQ(found.identity, (PluginIdentity{security::sha256_hex("abc"), "lab", "turtle"_driver}));
   EXPECT_TRUE(found.exactly) << "what was checked is what the host must use";
 }
 
@@ -67,6 +67,9 @@ TEST_F(PluginSourceTest, AllPluginsAreListedWithWhatTheirBytesDeclareAndNoneIsLo
   const std::string mark = "iotcloud-plugin: driver=";
   write("a.so", "no library" + mark + R"({"name":"meter","version":"2"})" + std::string(1, '\0'));
   write("notes.txt", "no plugin");
+  EXPECT_EQ(source(false).find(wants("a.so")).identity.driver, "meter"_driver);
+  EXPECT_EQ(source(true).driver_of(wants("a.so")), "meter"_driver) << "of what runs already";
+  EXPECT_TRUE(source(true).driver_of(wants("absent.so")).empty());
   const auto listed = source(false).all({});
   ASSERT_EQ(listed.size(), 1U);
   EXPECT_EQ(listed[0].file, "a.so");

@@ -190,6 +190,17 @@ TEST_F(ProcessTest, APluginOfAnotherSdkIsRefusedInItsRecordNamingBothSides) {
   EXPECT_TRUE(comes_to("b", DriverState::active));
 }
 
+TEST_F(ProcessTest, AHostCannotTakeAnotherDriversNameThanItsPluginsBytesHave) {
+  fs::copy(fs::path(TEST_PLUGINS) / "liar.so", plugins_ / "liar.so");
+  start_gateway();
+  auto wanted = quiet("a", "liar.so");
+  wanted.driver = discovery::DriverName();
+  give(wanted);
+  ASSERT_TRUE(comes_to("a", DriverState::failed, "liar"));
+  EXPECT_THAT(record("a", "liar")->reason, HasSubstr("it says that it is turtle a"));
+  EXPECT_FALSE(record("a", "turtle"));
+}
+
 TEST_F(ProcessTest, WhatEverybodyMayWriteIsNotRun) {
   using enum fs::perms;
   start_gateway();

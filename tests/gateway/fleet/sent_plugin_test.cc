@@ -120,7 +120,7 @@ TEST_F(SentPluginTest, AHostThatOutlivesItsGatewayTellsTheNextWhatItRuns) {
   {
     auto link = launcher->launch({"probe.so", "gw"_gateway, false, sha256, {}},
                                  {[&](const auto& status) { told.add(status); }, [](const auto&) {}});
-    EXPECT_EQ(link->plugin(), (PluginIdentity{sha256, "lab"}));
+    EXPECT_EQ(link->plugin(), (PluginIdentity{sha256, "lab", "probe"_driver}));
     InstanceSpec spec;
     spec.order = sent("a", sha256);
     spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
@@ -131,7 +131,7 @@ TEST_F(SentPluginTest, AHostThatOutlivesItsGatewayTellsTheNextWhatItRuns) {
   ASSERT_EQ(running.size(), 1u);
   EXPECT_EQ(running[0].order.plugin, "probe.so");
   EXPECT_EQ(running[0].order.sha256, sha256);
-  EXPECT_EQ(running[0].order.identity, (PluginIdentity{sha256, "lab"}));
+  EXPECT_EQ(running[0].order.identity, (PluginIdentity{sha256, "lab", "probe"_driver}));
   EXPECT_EQ(running[0].instances.at(0).spec.order, sent("a", sha256));
 }
 
