@@ -24,13 +24,10 @@ bool has_word(const std::string& text, const std::string& word) {
   return false;
 }
 
-/// "rtsp://admin:password@camera/stream".
-bool is_url_with_password(const std::string& value) {
-  const auto scheme = value.find("://");
-  if (scheme == std::string::npos) return false;
-  const std::string authority = value.substr(scheme + 3, value.find('/', scheme + 3) - scheme - 3);
-  const auto at = authority.rfind('@');
-  return at != std::string::npos && authority.find(':') < at;
+/// "rtsp://admin:password@camera/stream", also among several URLs. A password may contain a '/', so some other URLs
+/// count too ("http://camera:80/a@b"): rather one too many.
+bool has_url_with_password(const std::string& value) {
+  return value.find("://") != std::string::npos && without_password(value) != value;
 }
 
 }  // namespace
@@ -41,7 +38,7 @@ bool is_secret(const std::string& key, const std::string& value) {
        {"password", "passwd", "passphrase", "secret", "token", "credential", "apikey", "accesskey", "privatekey"}) {
     if (name.find(part) != std::string::npos) return true;
   }
-  return has_word(name, "key") || is_url_with_password(value);
+  return has_word(name, "key") || has_url_with_password(value);
 }
 
 std::string without_password(const std::string& url) {

@@ -524,6 +524,7 @@ TEST_F(Access, AViewerSeesNoBrokersPassword) {
     ASSERT_THAT(*drivers, SizeIs(1));
     ASSERT_THAT(drivers->at(0).channels, SizeIs(1));
     EXPECT_EQ(drivers->at(0).channels[0].brokerUrl, "amqp://robot:***@127.0.0.1:5672/");
+    EXPECT_EQ(drivers->at(0).channels[0].properties.at("urls"), "***") << "also not among several";
   }
 }
 

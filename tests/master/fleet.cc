@@ -80,6 +80,7 @@ DriverRecord FakeGateway::record(const OrderRecord& order, DriverState state, co
   channel.gateway = id_;
   channel.driver = record.name;
   channel.instance = order.instance;
+  channel.properties["urls"] = "amqp://127.0.0.2:5672/ " + channel.broker_url;
   record.channels = {channel};
   return record;
 }

@@ -16,7 +16,10 @@ TEST(SecretProperties, AreKnownByTheirNames) {
 TEST(SecretProperties, AreUrlsWithAPassword) {
   EXPECT_TRUE(is_secret("source", "rtsp://admin:sesame@camera:554/1"));
   EXPECT_TRUE(is_secret("source", "http://:sesame@camera"));
-  EXPECT_FALSE(is_secret("source", "rtsp://camera:554/a@b:c"));
+  EXPECT_TRUE(is_secret("urls", "amqp://h1/ amqp://robot:sesame@h2/")) << "not the first of several";
+  EXPECT_TRUE(is_secret("cameras", "http://camera1,http://admin:sesame@camera2"));
+  EXPECT_TRUE(is_secret("source", "amqp://robot:8/sesame@h1/")) << "a password that begins like a port";
+  EXPECT_FALSE(is_secret("urls", "amqp://h1:5672/ amqp://h2:5672/"));
   EXPECT_FALSE(is_secret("source", "ssh://robot@camera:22/"));
   EXPECT_FALSE(is_secret("note", "a:b@c"));
 }
