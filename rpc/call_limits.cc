@@ -49,8 +49,13 @@ CallsByRole usual_calls() {
   return {{Role::viewer, {}}, {Role::master, acting}, {Role::operating, acting}, {Role::admin, acting}};
 }
 
+CallLimits::Options usual_token_tries(std::chrono::milliseconds longest_wait) {
+  return {.at_once = 1, .per_second = 2, .saved = std::chrono::seconds{10}, .longest_wait = longest_wait};
+}
+
 RoleLimits::RoleLimits(const CallsByRole& calls) {
   for (const auto& [role, options] : calls) limits_.try_emplace(role, options);
+  limits_.try_emplace(security::Role::anyone, CallLimits::Options{.at_once = 64});
 }
 
 std::shared_ptr<void> RoleLimits::enter(security::Role role, const std::string& identity) {

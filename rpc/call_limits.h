@@ -52,11 +52,16 @@ class CallLimits {
 /// The limits of each identity's calls, by its role.
 using CallsByRole = std::map<security::Role, CallLimits::Options>;
 
+/// How many tokens each caller, whoever it is, may try that take a hash (TokenKeeper::costs()). Such a hash takes some
+/// ten milliseconds of all callers, so one that tries without end has no more than a tenth of them.
+/// \param longest_wait how long a try waits for its turn
+CallLimits::Options usual_token_tries(std::chrono::milliseconds longest_wait);
+
 /// What holds unless a configuration says otherwise. Those who may act have ten times the calls of a viewer, which is
 /// more than the command line makes with a manifest of thousands, a plugin's pieces, or a master for all its viewers.
 CallsByRole usual_calls();
 
-/// CallLimits for the identities of each role. Thread safe.
+/// CallLimits for the identities of each role, and of strangers (Role::anyone). Thread safe.
 class RoleLimits {
  public:
   explicit RoleLimits(const CallsByRole& calls = usual_calls());

@@ -62,8 +62,8 @@ class GuardedProcessor final : public TProcessor {
     in->readMessageBegin(method, type, number);
     if (type != TMessageType::T_CALL) return false;
     const auto role = session_->role();
-    auto refusal = session_->refuse(method, role);
-    if (!refusal) refusal = session_->refuse_too_many(method, role);
+    auto refusal = session_->refuse_too_many(method, role);  // calls that are refused count too
+    if (!refusal) refusal = session_->refuse(method, role);
     if (refusal) {
       in->skip(TType::T_STRUCT);
       in->readMessageEnd();

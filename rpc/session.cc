@@ -39,6 +39,13 @@ std::string CallerSession::caller() const {
   return peer_->user() ? fmt::format("user {}", *peer_->user()) : "";
 }
 
+/// Who shares the limits of those that have not said who they are: the holders of one certificate, the processes of one
+/// user, or what comes from one host.
+std::string CallerSession::stranger() const {
+  if (!peer_->certificate().empty()) return peer_->certificate();
+  return peer_->user() ? fmt::format("user {}", *peer_->user()) : peer_->identity();
+}
+
 security::AuditEntry CallerSession::entry(const std::string& method) const {
   security::AuditEntry entry;
   entry.who = caller();
@@ -59,8 +66,20 @@ void CallerSession::tell_refusal(const std::string& method, const std::string& k
   options_.audit->write_refused(std::move(line));
 }
 
+/// Logs and counts that a token was refused. \return the text
+std::string CallerSession::refuse_token(const std::string& kind, std::string text) {
+  count_refusal(options_.service, kind);
+  tell_refusal("authenticate", kind, text);
+  return text;
+}
+
 std::string CallerSession::authenticate(const std::string& token) {
   if (!options_.tokens) return "";
+  std::shared_ptr<void> turn;
+  if (options_.tokens->costs(token)) {
+    turn = options_.token_tries->enter(stranger());
+    if (!turn) return refuse_token("token_rate", fmt::format("{} tries too many tokens; try again later", stranger()));
+  }
   std::string why;
   holder_ = options_.tokens->holder(token, peer_->certificate(), &why);
   if (holder_) {
@@ -75,8 +94,7 @@ std::string CallerSession::authenticate(const std::string& token) {
                                  to_string(role()));
     return "";
   }
-  count_refusal(options_.service, "token");
-  tell_refusal("authenticate", "token", why.empty() ? "a token that is nobody's" : why);
+  refuse_token("token", why.empty() ? "a token that is nobody's" : why);
   if (++wrong_tokens_ >= options_.wrong_tokens) peer_->hang_up();
   std::this_thread::sleep_for(options_.wrong_token_pause);
   if (!why.empty()) return why;
@@ -129,15 +147,17 @@ std::optional<CallerSession::Refusal> CallerSession::refuse(const std::string& m
   return refusal;
 }
 
-/// Waits for the turn of a call that the caller may make.
+/// Waits for the turn of a call.
 std::optional<CallerSession::Refusal> CallerSession::refuse_too_many(const std::string& method, security::Role has) {
-  auto turn = options_.limits->enter(has, caller());
+  const std::string who = has == security::Role::anyone ? stranger() : caller();
+  auto turn = options_.limits->enter(has, who);
   if (!turn) {
     count_refusal(options_.service, "rate");
     options_.refusals->refused("rate", fmt::format("{}: {} of {} is refused: {} makes too many calls", options_.service,
-                                                   method, peer_->address(), caller()));
-    return Refusal{fmt::format("{} makes too many calls; try again later", caller()), options_.not_allowed,
-                   options_.rules.at(method).form};
+                                                   method, peer_->address(), who));
+    const auto rule = options_.rules.find(method);
+    return Refusal{fmt::format("{} makes too many calls; try again later", who), options_.not_allowed,
+                   rule == options_.rules.end() ? RefusalForm::failure : rule->second.form};
   }
   peer_->hold(std::move(turn));
   return std::nullopt;

@@ -47,8 +47,11 @@ struct AccessOptions {
   std::shared_ptr<security::AuditLog> audit;  ///< null: orders are in the ordinary log only
   /// The ordinary log of refused calls.
   std::shared_ptr<RefusalLog> refusals = std::make_shared<RefusalLog>(config::Logger{"access"});
-  /// How many calls each identity may make.
+  /// How many calls each identity may make; those that are refused count too.
   std::shared_ptr<RoleLimits> limits = std::make_shared<RoleLimits>();
+  /// How many tokens each caller may try that take a hash.
+  std::shared_ptr<CallLimits> token_tries =
+      std::make_shared<CallLimits>(usual_token_tries(std::chrono::milliseconds{2'000}));
   /// The largest message of a viewer and an operator, who send no plugins.
   int most_bytes = 1 << 20;
   /// RefusalForm::order: the codes for a client without a token, and for one whose role does not allow the call.
@@ -94,6 +97,8 @@ class CallerSession {
   void begin(const std::string& method);
   void end();
   std::string caller() const;
+  std::string stranger() const;
+  std::string refuse_token(const std::string& kind, std::string text);
   security::AuditEntry entry(const std::string& method) const;
   /// \param has the caller's current role
   std::optional<Refusal> refuse(const std::string& method, security::Role has);

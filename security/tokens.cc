@@ -19,6 +19,7 @@
 #include <iotcloud/config/number.h>
 #include <iotcloud/security/logger.h>
 #include <iotcloud/security/private_file.h>
+#include <iotcloud/security/sha256.h>
 #include <iotcloud/security/tokens.h>
 
 namespace iotcloud::security {
@@ -269,7 +270,7 @@ std::string how_to_renew(const std::string& name, const std::string& file) {
 
 TokenKeeper::TokenKeeper(std::string file, const std::string& service, const config::Clock& clock,
                          config::Metrics& metrics)
-    : file_(std::move(file)), clock_(clock) {
+    : file_(std::move(file)), clock_(clock), secret_(to_hex(random_bytes(secret_bytes))) {
   reload();
   if (service.empty()) return;
   days_left_ = metrics.add_source([this, service](auto& samples) { measure(service, samples); });
@@ -310,21 +311,47 @@ void TokenKeeper::reload() {
   entries_ = std::move(read);
 }
 
-std::optional<TokenEntry> TokenKeeper::holder(const std::string& token, const std::string& certificate,
-                                              std::string* why) const {
+/// The entry of the name with which the token begins.
+std::optional<TokenEntry> TokenKeeper::named_by(const std::string& token) const {
   const auto dot = token.find('.');
   if (dot == std::string::npos) return std::nullopt;
-  TokenEntry entry;
-  {
-    const config::ReadLock lock(mutex_);
-    const auto at = entries_.find(token.substr(0, dot));
-    if (at == entries_.end()) return std::nullopt;
-    entry = at->second;
-  }
+  const config::ReadLock lock(mutex_);
+  const auto at = entries_.find(token.substr(0, dot));
+  return at == entries_.end() ? std::nullopt : std::optional(at->second);
+}
+
+bool TokenKeeper::is_verified(const TokenEntry& entry, const std::string& token) const {
+  const std::string digest = sha256_hex(secret_ + token);
+  const config::MutexLock lock(verifying_);
+  const auto known = verified_.find(entry.name);
+  return known != verified_.end() && known->second.hash == entry.hash &&
+         CRYPTO_memcmp(known->second.digest.data(), digest.data(), digest.size()) == 0;
+}
+
+/// Whether the token is that of the entry.
+bool TokenKeeper::verify(const TokenEntry& entry, const std::string& token) const {
+  if (is_verified(entry, token)) return true;
   const auto wanted = parse_hash(entry.hash);
-  const config::MutexLock one_at_a_time(hashing_);
-  const auto hash = scrypt(token.substr(dot + 1), wanted->salt, wanted->cost);
-  if (!hash || CRYPTO_memcmp(hash->data(), wanted->hash.data(), hash_bytes) != 0) return std::nullopt;
+  {
+    const config::MutexLock one_at_a_time(hashing_);
+    const auto hash = scrypt(token.substr(token.find('.') + 1), wanted->salt, wanted->cost);
+    if (!hash || CRYPTO_memcmp(hash->data(), wanted->hash.data(), hash_bytes) != 0) return false;
+  }
+  const config::MutexLock lock(verifying_);
+  verified_[entry.name] = {entry.hash, sha256_hex(secret_ + token)};
+  return true;
+}
+
+bool TokenKeeper::costs(const std::string& token) const {
+  const auto entry = named_by(token);
+  return entry && !is_verified(*entry, token);
+}
+
+std::optional<TokenEntry> TokenKeeper::holder(const std::string& token, const std::string& certificate,
+                                              std::string* why) const {
+  const auto named = named_by(token);
+  if (!named || !verify(*named, token)) return std::nullopt;
+  const TokenEntry& entry = *named;
   if (!entry.certificate.empty() && entry.certificate != certificate) {
     access_logger.warn("the token of {} counts only with the certificate {}, and comes with {}: it was copied, or {}",
                        entry.name, entry.certificate, certificate.empty() ? "none" : certificate,

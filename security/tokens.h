@@ -69,13 +69,15 @@ class TokenKeeper {
                        config::Metrics& metrics = config::process_metrics());
   /// Reads the file again. \throws Error; then the tokens that were read before still count.
   void reload();
-  /// Takes some ten milliseconds, one call at a time: call it once for each connection.
+  /// Takes some ten milliseconds, one call at a time, if the token costs() that: call it once for each connection.
   /// \param certificate the subject of the certificate that came with the token; empty: none.
   /// \param why if given, is told why the token of somebody who has it does not count
   /// \return nullopt if nobody has this token, or if it counts only with another certificate or has expired, which is
   /// logged
   std::optional<TokenEntry> holder(const std::string& token, const std::string& certificate,
                                    std::string* why = nullptr) const;
+  /// Whether holder() has to hash the token: it names somebody, and is not the one that was shown for that name last.
+  bool costs(const std::string& token) const;
   /// The current role of this entry's owner; nullopt if the token was removed or replaced, or has expired.
   std::optional<Role> role_of(const TokenEntry& entry) const;
 
@@ -83,13 +85,24 @@ class TokenKeeper {
   void warn_of_end(const TokenEntry& entry) const;
   void measure(const std::string& service, std::vector<config::Sample>& samples) const;
   bool is_over(const TokenEntry& entry) const;
+  std::optional<TokenEntry> named_by(const std::string& token) const;
+  bool is_verified(const TokenEntry& entry, const std::string& token) const;
+  bool verify(const TokenEntry& entry, const std::string& token) const;
 
+  /// A token that was found to be that of an entry.
+  struct Verified {
+    std::string hash;    ///< TokenEntry::hash
+    std::string digest;  ///< of the token, with `secret_`
+  };
   const std::string file_;
   const config::Clock& clock_;
   mutable config::SharedMutex mutex_;
   std::map<std::string, TokenEntry> entries_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by name
   mutable config::Mutex hashing_;                                          ///< one hash at a time: each takes 16 MiB
-  config::Metrics::SourceRegistration days_left_;                          ///< last: it reads the entries
+  const std::string secret_;  ///< of this process, so that its digests of tokens tell nothing elsewhere
+  mutable config::Mutex verifying_;
+  mutable std::map<std::string, Verified> verified_ IOTCLOUD_GUARDED_BY(verifying_);  ///< the last of each name
+  config::Metrics::SourceRegistration days_left_;                                     ///< last: it reads the entries
 };
 
 }  // namespace iotcloud::security

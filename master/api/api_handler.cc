@@ -339,6 +339,7 @@ rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   shared->access.not_allowed = wire::TRefusal::NOT_ALLOWED;
   shared->access.wrong_token_pause = access.wrong_token_pause;
   shared->access.limits = std::make_shared<rpc::RoleLimits>(access.calls);
+  if (access.token_tries) shared->access.token_tries = std::move(access.token_tries);
   // The server's options keep this function, and with it `shared`, for as long as there are connections.
   return [shared](const std::shared_ptr<rpc::ThriftPeer>& peer) {
     auto session = std::make_shared<rpc::CallerSession>(shared->access, peer);

@@ -22,7 +22,8 @@ struct ApiAccess {
   GatewayAccess gateways;
   WorkerAccess workers;
   std::chrono::milliseconds wrong_token_pause{1'000};
-  rpc::CallsByRole calls = rpc::usual_calls();  ///< how many calls each identity may make
+  rpc::CallsByRole calls = rpc::usual_calls();     ///< how many calls each identity may make
+  std::shared_ptr<rpc::CallLimits> token_tries{};  ///< rpc::AccessOptions; null: as usual
   PluginUploads::Options uploads{};
 };
 

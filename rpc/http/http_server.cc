@@ -196,16 +196,31 @@ class HttpConnectionOver final : public HttpConnection,
            error != http::error::end_of_stream && error != http::error::partial_message;
   }
 
-  /// Whether the request's token allows it. A connection's token is looked at once, because that takes time.
-  bool is_allowed() {
-    if (!shared_.guard.asks_for_token()) return true;
+  /// The refusal of a request that its token does not allow; nullopt: it does. A connection's token is looked at once,
+  /// because that takes time.
+  std::optional<HttpAnswer> refusal() {
+    if (!shared_.guard.asks_for_token()) return std::nullopt;
     const auto header = parser_->get()[http::field::authorization];
     const std::string shown(header.data(), header.size());
     if (!reader_ || shown != shown_) {
+      if (!shared_.guard.may_try(shown, caller())) {
+        shared_.refused("token_rate", caller() + " tries too many tokens");
+        return HttpAnswer{429, "text/plain", caller() + " tries too many tokens; try again later\n"};
+      }
       reader_ = shared_.guard.reader(shown, certificate());
       shown_ = shown;
     }
-    return reader_ && shared_.guard.still_may(*reader_);
+    if (reader_ && shared_.guard.still_may(*reader_)) return std::nullopt;
+    response_.set(http::field::www_authenticate, "Bearer");
+    shared_.refused("token", "a reader shows no token, or one that is nobody's");
+    return HttpAnswer{401, "text/plain", "these pages ask for a token: send the header Authorization: Bearer TOKEN\n"};
+  }
+
+  /// Who shares the limit of tries: the holders of one certificate, or what comes from one host.
+  std::string caller() {
+    if (const std::string subject = certificate(); !subject.empty()) return subject;
+    error_code ignored;
+    return socket_stream().socket().remote_endpoint(ignored).address().to_string();
   }
 
   std::string certificate() {
@@ -217,11 +232,9 @@ class HttpConnectionOver final : public HttpConnection,
   }
 
   HttpAnswer answer() {
-    if (!is_allowed()) {
-      response_.set(http::field::www_authenticate, "Bearer");
+    if (auto refused = refusal()) {
       response_.keep_alive(false);  // so that each further token that somebody tries costs a handshake
-      shared_.refused("token", "a reader shows no token, or one that is nobody's");
-      return {401, "text/plain", "these pages ask for a token: send the header Authorization: Bearer TOKEN\n"};
+      return *std::move(refused);
     }
     const auto target = parser_->get().target();
     return answer_to(shared_.pages, {target.data(), target.size()});

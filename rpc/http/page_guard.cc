@@ -5,6 +5,16 @@
 
 namespace iotcloud::rpc {
 
+namespace {
+
+/// The token in a header "Authorization"; empty: there is none, which is nobody's.
+std::string token_in(std::string_view authorization) {
+  constexpr std::string_view scheme = "Bearer ";
+  return authorization.starts_with(scheme) ? std::string(authorization.substr(scheme.size())) : std::string();
+}
+
+}  // namespace
+
 PageGuard::PageGuard(PageSettings settings) : settings_(std::move(settings)), tls_("pages", settings_.tls) {
   if (const std::string problem = exposure(settings_); !problem.empty()) throw config::Error(problem);
   if (!settings_.tokens.empty()) tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens, "pages");
@@ -15,11 +25,13 @@ void PageGuard::reload() {
   if (tokens_) tokens_->reload();
 }
 
+bool PageGuard::may_try(std::string_view authorization, const std::string& caller) const {
+  return !tokens_->costs(token_in(authorization)) || tries_.enter(caller) != nullptr;
+}
+
 std::optional<security::TokenEntry> PageGuard::reader(std::string_view authorization,
                                                       const std::string& certificate) const {
-  constexpr std::string_view scheme = "Bearer ";
-  if (!authorization.starts_with(scheme)) return std::nullopt;
-  return tokens_->holder(std::string(authorization.substr(scheme.size())), certificate);
+  return tokens_->holder(token_in(authorization), certificate);
 }
 
 }  // namespace iotcloud::rpc

@@ -1,10 +1,12 @@
 #pragma once
 
+#include <chrono>
 #include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
 
+#include <iotcloud/rpc/call_limits.h>
 #include <iotcloud/rpc/http/page_settings.h>
 #include <iotcloud/security/server_tls.h>
 #include <iotcloud/security/tokens.h>
@@ -21,7 +23,11 @@ class PageGuard {
 
   security::ServerTls& tls() { return tls_; }
   bool asks_for_token() const { return tokens_ != nullptr; }
-  /// The user whom this header "Authorization" proves; nullopt: nobody who may read. Takes some ten milliseconds.
+  /// Whether the reader may try this header "Authorization"; false: it tried too many that nobody had shown before.
+  /// \param caller the subject of the reader's certificate, or its host
+  bool may_try(std::string_view authorization, const std::string& caller) const;
+  /// The user whom this header proves; nullopt: nobody who may read. Takes some ten milliseconds for a token that was
+  /// not shown before.
   /// \param certificate the subject of the reader's certificate; empty: none
   std::optional<security::TokenEntry> reader(std::string_view authorization, const std::string& certificate) const;
   /// Whether the token still counts.
@@ -30,6 +36,8 @@ class PageGuard {
  private:
   const PageSettings settings_;
   std::unique_ptr<security::TokenKeeper> tokens_;  ///< null: readers need no token
+  /// The pages have one thread, so a try does not wait for its turn.
+  mutable CallLimits tries_{usual_token_tries(std::chrono::milliseconds{0})};
   security::ServerTls tls_;
 };
 

@@ -474,6 +474,38 @@ TEST_F(LimitedAccess, AnOrderThatIsGivenByNameCountsOnce) {
   EXPECT_THAT(given, AllOf(testing::Ge(2), testing::Le(4)));
 }
 
+TEST_F(LimitedAccess, OneWhoTriesTokensWithoutEndIsRefusedBeforeTheyAreHashedAndThoseWhoAreKnownGetIn) {
+  access_.token_tries = std::make_shared<rpc::CallLimits>(few_);
+  serve({});
+  connect(admin_);
+  const auto answer_to = [this](const std::string& token) {
+    auto client = connect();
+    TResponse answer;
+    client.authenticate(answer, token);
+    return answer.statusMessage;
+  };
+  const auto before = refused("token_rate");
+  std::string answer;
+  for (int i = 0; i < 10 && answer.find("too many") == std::string::npos; ++i) answer = answer_to("vera.wrong");
+  EXPECT_THAT(answer, HasSubstr("tries too many tokens"));
+  EXPECT_THAT(answer_to(viewer_), HasSubstr("tries too many tokens")) << "of the same user, and never shown before";
+  EXPECT_GE(refused("token_rate"), before + 2);
+  connect(admin_);
+  if (geteuid() != 0) return;
+  const rpc::test::AsNobody other_user;
+  connect(operating_);
+}
+
+TEST_F(LimitedAccess, RefusedCallsCountToo) {
+  access_.calls[Role::viewer] = few_;
+  serve({});
+  auto client = connect(viewer_);
+  std::string answer;
+  for (int i = 0; i < 10 && answer.find("too many") == std::string::npos; ++i)
+    answer = deploy(client).response.statusMessage;
+  EXPECT_THAT(answer, HasSubstr("vera makes too many calls"));
+}
+
 TEST_F(LimitedAccess, OneTokenHasSoManyConnectionsAndTakesNobodysPlace) {
   rpc::ThriftServerOptions options;
   options.max_connections = 8;

@@ -324,6 +324,19 @@ TEST_F(GuardedPages, AreClosedAtOnceToWhomATokenIsTakenFrom) {
   EXPECT_THAT(read(server, {certificates_.of("operator"), token_}), HasSubstr("Authorization: Bearer"));
 }
 
+TEST_F(GuardedPages, AFloodOfTokensOfOneCertificateIsRefusedBeforeTheyAreHashedAndOthersRead) {
+  certificates_.authority().certify_caller("thief");
+  const std::string never_shown = security::add_token(settings_.tokens, "grafana", security::Role::viewer);
+  const HttpServer server(settings_, pages_);
+  EXPECT_EQ(read(server, {certificates_.of("thief"), token_}), "the page");
+  std::string refused;
+  for (int i = 0; i < 200 && refused.find("too many") == std::string::npos; ++i)
+    refused = read(server, {certificates_.of("thief"), token_ + "0"});
+  EXPECT_THAT(refused, HasSubstr("CN=thief tries too many tokens"));
+  EXPECT_EQ(read(server, {certificates_.of("operator"), never_shown}), "the page");
+  EXPECT_EQ(read(server, {certificates_.of("thief"), token_}), "the page") << "what is known takes no hash";
+}
+
 /// A connection with a certificate that is kept after each answer.
 class KeptConnection {
  public:

@@ -66,6 +66,24 @@ TEST_F(Tokens, WhatIsNobodysIsNobodys) {
     EXPECT_FALSE(keeper.holder(wrong, "")) << wrong.substr(0, 100);
 }
 
+TEST_F(Tokens, CostAHashOnlyUntilTheyWereFoundToBeSomebodys) {
+  const auto anna = add_token(file_, "anna", Role::admin);
+  TokenKeeper keeper(file_);
+  EXPECT_TRUE(keeper.costs(anna));
+  ASSERT_TRUE(keeper.holder(anna, ""));
+  EXPECT_FALSE(keeper.costs(anna));
+  EXPECT_TRUE(keeper.holder(anna, ""));
+  EXPECT_FALSE(keeper.holder("anna.wrong", ""));
+  EXPECT_TRUE(keeper.costs("anna.wrong")) << "a wrong one costs each time";
+  EXPECT_FALSE(keeper.costs(anna)) << "and a right one nothing afterwards";
+  EXPECT_FALSE(keeper.costs("eve.wrong")) << "nobody of that name";
+  ASSERT_TRUE(remove_token(file_, "anna"));
+  const auto next = add_token(file_, "anna", Role::viewer);
+  keeper.reload();
+  EXPECT_FALSE(keeper.holder(anna, "")) << "it was replaced";
+  EXPECT_EQ(keeper.holder(next, "")->role, Role::viewer);
+}
+
 TEST_F(Tokens, OfADaemonCountOnlyWithTheCertificateThatTheyWereMadeFor) {
   const auto daemon = add_token(file_, "master-1", Role::master, "CN=master-1");
   const auto person = add_token(file_, "anna", Role::admin);
