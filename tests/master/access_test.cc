@@ -592,6 +592,36 @@ TEST_F(LoopbackAccess, WithoutATokenADriverOfAnotherUserReadsAndGivesNoOrders) {
   EXPECT_EQ(deploy(own).response.state, TResponseState::SUCCESS);
 }
 
+TEST_F(LoopbackAccess, WithoutATokenOneUsersConnectionsTakeNobodysPlace) {
+  rpc::ThriftServerOptions options;
+  options.max_connections = 8;
+  options.max_connections_of_one = 3;
+  server_.emplace(options, serve_api(*master_, ApiAccess{}));
+  const auto answers = [](wire::TMasterAPIServiceClient& client) {
+    try {
+      wire::TMasterStatus status;
+      client.getStatus(status);
+      return true;
+    } catch (const TException&) {
+      return false;
+    }
+  };
+  auto own = connect();
+  ASSERT_TRUE(answers(own));
+  std::vector<wire::TMasterAPIServiceClient> all;
+  for (int i = 0; i < 20; ++i) {
+    const rpc::test::AsNobody nobody;
+    all.push_back(connect());
+    ASSERT_TRUE(answers(all.back()));
+  }
+  auto next = connect();  // the server looks when the next one comes
+  EXPECT_TRUE(answers(next));
+  EXPECT_TRUE(answers(own));
+  int open = 0;
+  for (auto& client : all) open += answers(client) ? 1 : 0;
+  EXPECT_EQ(open, 3);
+}
+
 TEST_F(LoopbackAccess, AnAccountThatTheConfigurationNamesMayAct) {
   ApiAccess access;
   access.users = {"no-such-account", "nobody"};
