@@ -23,10 +23,12 @@ constexpr std::string_view card_mark = "iotcloud-plugin: driver=";
 constexpr std::string_view sdk_mark = "iotcloud-plugin: driver-sdk=";
 constexpr std::size_t longest = std::size_t{64} * 1024;  // of a declaration, in bytes
 constexpr std::size_t most_properties = 500;
+constexpr int most_marks = 100;  // that are looked at: each may cost reading `longest` bytes
 
 /// The first JSON object that stands behind the mark; a null value: there is none.
 Json object_behind(std::string_view bytes, std::string_view mark) {
-  for (auto at = bytes.find(mark); at != std::string_view::npos; at = bytes.find(mark, at + 1)) {
+  auto at = bytes.find(mark);
+  for (int marks = 0; at != std::string_view::npos && marks < most_marks; at = bytes.find(mark, at + 1), ++marks) {
     const auto rest = bytes.substr(at + mark.size(), longest);
     const auto end = rest.find('\0');
     if (end == std::string_view::npos || !rest.starts_with('{')) continue;

@@ -124,6 +124,14 @@ TEST(Declaration, is_found_in_a_plugin_s_bytes_behind_other_uses_of_the_mark) {
   EXPECT_EQ(config::declaration_in(mark + "{\"description\":\"no end\"}"), config::DriverDeclaration{});
 }
 
+TEST(Declaration, a_flood_of_marks_is_not_read_to_its_end) {
+  const std::string card = R"(iotcloud-plugin: driver={"name":"meter","version":"2"})" + std::string(1, '\0');
+  std::string flood;
+  for (int i = 0; i < 99; ++i) flood += "iotcloud-plugin: driver={";
+  EXPECT_EQ(config::declaration_in(flood + card).driver, "meter");
+  EXPECT_EQ(config::declaration_in(flood + "iotcloud-plugin: driver={" + card).driver, "");
+}
+
 TEST(Declaration, hostile_text_counts_as_nothing) {
   for (const char* json : {"", "[]", "{", "{\"properties\":5}",
                            "{\"properties\":[5,{},{\"name\":\"a\",\"type\":\"b\"}]}", "{\"description\":{}}"}) {

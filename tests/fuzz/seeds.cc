@@ -17,6 +17,7 @@
 #include "iotcloud/discovery/records.h"
 #include "iotcloud/drivers/depth/depth_codec.h"
 #include "iotcloud/drivers/turtle/robot/protocol.h"
+#include "iotcloud/master/orders/backup_file.h"
 
 namespace iotcloud::fuzz {
 
@@ -159,6 +160,51 @@ SeedsOfTarget registry_records() {
   };
 }
 
+/// What plugins say of themselves, in their bytes and as a gateway tells it.
+SeedsOfTarget declarations() {
+  const std::string card = R"(iotcloud-plugin: driver={"name":"meter","version":"2"})" + std::string(1, '\0');
+  const std::string properties =
+      R"({"description":"Reads a meter.","properties":[)"
+      R"({"name":"rate","type":"number","unit":"Hz","min":0.1,"max":1000,"default":"30","text":"how often"},)"
+      R"({"name":"mode","type":"text","choices":["a","b"],"required":true},{"name":"n","type":"integer"}]})";
+  const std::string declared = "iotcloud-plugin: declaration=" + properties + std::string(1, '\0');
+  return {{"bytes",
+           "\x7f"
+           "ELF" +
+               card + "iotcloud-plugin: driver-sdk=5;" + declared},
+          {"twice", "iotcloud-plugin: driver={" + card + declared + declared},
+          {"deep", "iotcloud-plugin: declaration={\"properties\":" + std::string(500, '[') + std::string(1, '\0')},
+          {"json", R"({"driver":"meter","version":"2","sdk_version":5,)" + properties.substr(1)}};
+}
+
+/// Recordings for recording_fuzzer.cc.
+SeedsOfTarget recordings() {
+  const std::string frame = "P5 640 480 65535\n\1\2";
+  return {{"two", part("d-1.000000-7.pgm\nr-1.0-7.ppm\nd-1.033333-9.pgm\r\n") + frame},
+          {"back", part("d-9.5-1.pgm\nd-2.5-2.pgm\na-2.6-3.dump\n") + frame.substr(0, 10)},
+          {"far", part("d-0-1.pgm\nd-1e300-2.pgm\n") + frame},
+          {"none", part("r-1.0-7.ppm\n")}};
+}
+
+/// A backup with all that one can have.
+std::string whole_backup() {
+  discovery::OrderRecord order;
+  order.instance = discovery::InstanceId("01");
+  order.plugin = "turtle.so";
+  order.sha256 = std::string(64, 'a');
+  order.properties = {{"rate", "30"}};
+  order.epoch = 7;
+  discovery::TopologyOrder topology;
+  topology.revision = 3;
+  topology.parallelism = {{"decode", 2}};
+  master::Backup backup;
+  backup.made_ms = 1'700'000'000'000;
+  backup.gateways = {{discovery::GatewayId("lab1"), true, {order, order}}, {discovery::GatewayId("lab2"), false, {}}};
+  backup.topologies = {{discovery::TopologyName("t"), topology}};
+  backup.missing_plugins = master::sent_plugins(backup.gateways);
+  return master::encode(backup);
+}
+
 }  // namespace
 
 Seeds all_seeds() {
@@ -212,6 +258,9 @@ Seeds all_seeds() {
   seeds["robot_protocol"]["agent"] = '\x06' + of_agent;
   seeds["robot_protocol"]["driver"] = '\x13' + of_driver;
   seeds["registry_records"] = registry_records();
+  seeds["declaration"] = declarations();
+  seeds["recording"] = recordings();
+  seeds["backup"] = {{"whole", whole_backup()}, {"empty", R"({"format":1})"}, {"later", R"({"format":2})"}};
   add_control_plane_seeds(seeds);
   add_wire_seeds(seeds);
   return seeds;

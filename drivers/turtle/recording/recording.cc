@@ -22,6 +22,8 @@ constexpr std::size_t frame_bytes = depth::frame_pixels * sizeof(std::uint16_t);
 constexpr double ticks_per_second = 60e6;  // of a Kinect's stamp
 constexpr double first_seconds = 1;        // not 0, which fakenect treats specially
 constexpr std::chrono::microseconds usual_interval{33'333};
+constexpr double latest = 1e12;               // seconds of a frame: some 30 000 years
+constexpr double shortest_interval = 0.5e-6;  // seconds: less is no microsecond
 
 template <typename Number>
 bool take_number(std::string_view& text, Number& number) {
@@ -43,7 +45,7 @@ std::optional<RecordedFrame> parse_name(std::string_view name) {
   frame.file = name;
   const bool whole = take(name, "d-") && take_number(name, frame.seconds) && take(name, "-") &&
                      take_number(name, frame.stamp) && name == ".pgm";
-  if (!whole || !std::isfinite(frame.seconds)) return std::nullopt;
+  if (!whole || !(std::abs(frame.seconds) <= latest)) return std::nullopt;
   return frame;
 }
 
@@ -78,7 +80,7 @@ Recording::Recording(std::filesystem::path folder) : folder_(std::move(folder)) 
 std::chrono::microseconds Recording::interval_after(std::size_t frame) const {
   for (std::size_t i = std::min(frame + 1, frames_.size() - 1); i > 0; --i) {
     const double seconds = frames_[i].seconds - frames_[i - 1].seconds;
-    if (seconds > 0) return std::chrono::microseconds(std::llround(seconds * 1e6));
+    if (seconds >= shortest_interval) return std::chrono::microseconds(std::llround(seconds * 1e6));
   }
   return usual_interval;
 }

@@ -84,6 +84,16 @@ TEST(Recording, passes_over_other_sensors_and_goes_round_where_time_goes_back) {
   EXPECT_EQ(recording.interval_after(2), 500ms);
 }
 
+TEST(Recording, has_intervals_also_between_times_that_nobody_recorded) {
+  ScratchFolder folder("times");
+  folder.write("INDEX.txt", "d-0-1.pgm\nd-1e-9-2.pgm\nd-1e12-3.pgm\n");
+  const Recording recording(folder.path());
+  EXPECT_GT(recording.interval_after(0), 0us) << "less than a microsecond";
+  EXPECT_EQ(recording.interval_after(1), 1'000'000'000'000s);
+  folder.write("INDEX.txt", "d-0-1.pgm\nd-1e300-2.pgm\n");
+  EXPECT_THAT(failure_of([&] { Recording far(folder.path()); }), HasSubstr("is no frame's name"));
+}
+
 TEST(Recording, that_is_damaged_says_where) {
   EXPECT_THAT(failure_of([] { Recording("/nonexistent"); }), AllOf(HasSubstr("/nonexistent"), HasSubstr("INDEX.txt")));
   ScratchFolder folder("damaged");
