@@ -8,6 +8,7 @@
 #include <CLI/CLI.hpp>
 #include <pthread.h>
 #include <signal.h>
+#include <sys/prctl.h>
 #include <unistd.h>
 
 #include "iotcloud/config/daemon/service_manager.h"
@@ -180,12 +181,19 @@ int run_daemon(int argc, char** argv, const DaemonOptions& options) {
          "the longest time in seconds from SIGTERM to the end of the process; what is not done by then is given up")
       ->check(CLI::Range(0.1, 3600.0))
       ->capture_default_str();
+  bool debuggable = false;
+  app.add_flag("--debuggable", debuggable,
+               "let other processes of this user attach to this one, read its memory and its environment, and let it "
+               "dump core");
   app.set_version_flag("--version", options.name + " " + version);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& e) {
     return app.exit(e) == 0 ? exit_ok : exit_usage;
   }
+
+  // Passwords and keys are in the memory of a daemon, and foreign code may run as its user: a driver in its host.
+  prctl(PR_SET_DUMPABLE, debuggable ? 1 : 0, 0, 0, 0);
 
   const Logger log{options.name};
   std::unique_ptr<DaemonService> service;

@@ -34,9 +34,9 @@ class Daemon(unittest.TestCase):
     def run_to_end(self, *words):
         return subprocess.run([PROGRAM, *words], capture_output=True, text=True, timeout=120)
 
-    def start(self, text, ready="ready", options=(), **environment):
+    def start(self, text, ready="ready", options=(), user=None, **environment):
         daemon = subprocess.Popen([PROGRAM, "--config", self.config(text), *options], stderr=subprocess.PIPE, text=True,
-                                  env={**os.environ, **environment})
+                                  env={**os.environ, **environment}, user=user)
         self.addCleanup(daemon.stderr.close)
         self.addCleanup(daemon.wait)
         self.addCleanup(daemon.kill)
@@ -66,6 +66,20 @@ class Daemon(unittest.TestCase):
     def test_bad_usage_ends_with_2(self):
         self.assertEqual(self.run_to_end("--nonsense").returncode, 2)
         self.assertEqual(self.run_to_end().returncode, 2)
+
+    def test_others_of_its_user_do_not_read_its_memory(self):
+        user = "nobody" if os.geteuid() == 0 else None  # root may read everything
+        os.chmod(self.directory.name, 0o755)
+
+        def may_open(daemon, name):
+            return subprocess.run(["dd", f"if=/proc/{daemon.pid}/{name}", "of=/dev/null", "count=0"], user=user,
+                                  capture_output=True).returncode == 0
+
+        attacked = self.start("stop: at once", options=("--debuggable",), user=user)
+        self.assertTrue(may_open(attacked, "environ"), "the attack")
+        daemon = self.start("stop: at once", user=user)
+        for name in "environ", "mem", "maps":
+            self.assertFalse(may_open(daemon, name), name)
 
     def test_sigterm_stops_in_order(self):
         daemon = self.start("stop: at once")

@@ -1,8 +1,12 @@
 // What driver hosts give up, as drivers in real processes see it.
+#include <array>
 #include <map>
 #include <string>
 
+#include <signal.h>
+#include <sys/prctl.h>
 #include <sys/stat.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
@@ -207,6 +211,36 @@ TEST_F(HostsOfAnotherUser, AreNotRootAndCannotBecomeIt) {
   EXPECT_EQ(found["groups_of_root"], "no");
   EXPECT_EQ(found["root_again"], "EPERM");
   EXPECT_EQ(found["forbidden_file"], "EACCES") << "the state folder is the gateway's";
+}
+
+/// What a host does to its gateway, if it has its gateway's user and `host_files` is not set.
+TEST_F(HostsOfAnotherUser, DoNotReachTheMemoryOfADaemonOfTheirUserAlsoWithoutAFileRule) {
+  const auto reached = [this](bool debuggable) {
+    std::array<int, 2> ready{};
+    EXPECT_EQ(pipe(ready.data()), 0);
+    const pid_t victim = fork();
+    if (victim == 0) {  // a daemon: config/daemon/daemon.cc
+      if (setgid(nobody_.group) != 0 || setuid(nobody_.user) != 0) _exit(1);
+      prctl(PR_SET_DUMPABLE, debuggable ? 1 : 0, 0, 0, 0);
+      if (write(ready[1], "x", 1) != 1) _exit(1);
+      for (;;) pause();
+    }
+    char byte = 0;
+    EXPECT_EQ(read(ready[0], &byte, 1), 1);
+    auto found = facts({{"victim", std::to_string(victim)}});
+    kill(victim, SIGKILL);
+    waitpid(victim, nullptr, 0);
+    for (const int end : ready) close(end);
+    take_back("a");
+    gateway_.reset();
+    return found;
+  };
+  confinement_.no_new_privileges = confinement_.filter_calls = true;
+  EXPECT_EQ(reached(true)["environment_of_victim"], "ok") << "the attack";
+  auto found = reached(false);
+  EXPECT_EQ(found["environment_of_victim"], "EACCES");
+  EXPECT_EQ(found["memory_of_victim"], "EACCES");
+  EXPECT_EQ(found["ptrace_of_victim"], "EPERM");
 }
 
 TEST_F(HostsOfAnotherUser, SpoolAndEndInOrder) {
