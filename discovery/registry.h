@@ -154,6 +154,10 @@ struct Paths;
 struct RenewedRights {
   std::size_t nodes = 0;    ///< that were looked at
   std::size_t changed = 0;  ///< of them, those that had other rights
+  /// Nodes whose rights kept masters out: whoever made them left out the fleet's rule. Those with nothing below are
+  /// removed; their owners, if they are the fleet's, make them again.
+  std::vector<std::string> removed;
+  std::vector<std::string> foreign;  ///< of them, those that have nodes below; only ZooKeeper's superuser removes them
 };
 /// Gives all nodes of a fleet in ZooKeeper the rights that `options.access` says now: a node keeps those of its
 /// creation until somebody does, so a user that was added later may not enter, and one that was removed still may.

@@ -5,6 +5,7 @@
 #include <optional>
 #include <set>
 #include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
@@ -78,10 +79,7 @@ class RightsRenewal {
       const std::string above = paths_.sensors.substr(0, end);
       renew(chroot + above, above, "");
     }
-    for (const std::string& branch :
-         {paths_.sensors, paths_.gateways, paths_.topologies, paths_.groups, paths_.masters()}) {
-      walk(branch, "");
-    }
+    for (const std::string& branch : branches()) walk(branch, "");
     return done_;
   }
 
@@ -105,7 +103,7 @@ class RightsRenewal {
       ACL_vector before{};
       Stat stat{};
       const int code = zoo_get_acl(session_.get(), full.c_str(), &before, &stat);
-      if (code == ZNONODE) return std::nullopt;
+      if (code == ZNONODE || (code == ZNOAUTH && take_away(full, path))) return std::nullopt;
       must(code, full);
       const std::unique_ptr<ACL_vector, void (*)(ACL_vector*)> owner(
           &before, [](ACL_vector* list) { deallocate_ACL_vector(list); });
@@ -113,7 +111,7 @@ class RightsRenewal {
       const NodeRights now(settings_, path, creator);
       if (!now.are(before)) {
         const int changed = zoo_set_acl(session_.get(), full.c_str(), stat.aversion, now.get());
-        if (changed == ZNONODE) return std::nullopt;
+        if (changed == ZNONODE || (changed == ZNOAUTH && take_away(full, path))) return std::nullopt;
         if (changed == ZBADVERSION) continue;
         must(changed, full);
         ++done_.changed;
@@ -121,6 +119,28 @@ class RightsRenewal {
       if (++done_.nodes % progress_step == 0 && progress_) progress_(done_.nodes);
       return creator;
     }
+  }
+
+  /// Removes a node below a branch that keeps masters out, or notes that it cannot be. \return false: it is a branch,
+  /// or above them, so this user is none that the fleet knows
+  bool take_away(const std::string& full, const std::string& path) {
+    const auto branches = this->branches();
+    if (std::none_of(branches.begin(), branches.end(),
+                     [&](const auto& branch) { return path.starts_with(branch + "/"); }))
+      return false;
+    const int code = zoo_delete(session_.get(), full.c_str(), -1);
+    if (code == ZOK) {
+      done_.removed.push_back(path);
+    } else if (code == ZNOTEMPTY) {
+      done_.foreign.push_back(path);
+    } else if (code != ZNONODE) {
+      must(code, full);
+    }
+    return true;
+  }
+
+  std::vector<std::string> branches() const {
+    return {paths_.sensors, paths_.gateways, paths_.topologies, paths_.groups, paths_.masters()};
   }
 
   /// The gateway that has an instance's records: that of the node above, that which has all rights on it until now, or

@@ -266,10 +266,22 @@ class RenewRights final : public Verb {
     }
     const auto done = discovery::renew_rights(
         options_, paths, [&](std::size_t nodes) { call.err << fmt::format("{} nodes looked at\n", nodes); });
-    const nlohmann::ordered_json answer{{"nodes", done.nodes}, {"changed", done.changed}};
-    print(call.out, call.format, {"NODES", "HAD OTHER RIGHTS"},
-          {{std::to_string(done.nodes), std::to_string(done.changed)}}, answer);
-    return exit_ok;
+    const nlohmann::ordered_json answer{
+        {"nodes", done.nodes}, {"changed", done.changed}, {"removed", done.removed}, {"foreign", done.foreign}};
+    print(call.out, call.format, {"NODES", "HAD OTHER RIGHTS", "REMOVED", "FOREIGN"},
+          {{std::to_string(done.nodes), std::to_string(done.changed), std::to_string(done.removed.size()),
+            std::to_string(done.foreign.size())}},
+          answer);
+    for (const auto& path : done.removed)
+      call.err << fmt::format("{} kept masters out, and had nothing below: it is removed\n", path);
+    for (const auto& path : done.foreign) {
+      call.err << fmt::format(
+          "{} keeps masters out, and has nodes below. One of the fleet's users made it with rights of its own: revoke "
+          "that user, and let ZooKeeper's superuser remove the node (deleteall {}). A driver of that name runs under "
+          "another one meanwhile (--driver)\n",
+          path, path);
+    }
+    return done.foreign.empty() ? exit_ok : exit_failed;
   }
 
  private:

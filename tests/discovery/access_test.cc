@@ -1,4 +1,10 @@
 // Access to the nodes that a process created in ZooKeeper: digest authentication.
+#include <atomic>
+#include <memory>
+#include <stdexcept>
+
+#include <zookeeper/zookeeper.h>
+
 #include <iotcloud/discovery/access.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/tests/discovery/contract_fixture.h>
@@ -164,6 +170,77 @@ TEST_P(FleetAccess, TheThiefOfOneGatewaysCredentialsReachesThatGatewayOnly) {
   EXPECT_EQ(one->get(order)->data, "order");
 }
 
+/// ZooKeeper's own client, as a thief uses it: with rights of its choice on what it makes.
+class BareClient {
+ public:
+  BareClient(const std::string& url, const std::string& user) : identity_(user + ":secret of " + user) {
+    zoo_set_debug_level(ZOO_LOG_LEVEL_ERROR);
+    handle_ = zookeeper_init(url.substr(url.find("//") + 2).c_str(), &BareClient::on_event, 20'000, nullptr, this, 0);
+    if (handle_ == nullptr || !eventually([this] { return identified_.load(); }))
+      throw std::runtime_error("no connection to " + url);
+  }
+  ~BareClient() { zookeeper_close(handle_); }
+  BareClient(const BareClient&) = delete;
+  BareClient& operator=(const BareClient&) = delete;
+
+  int create(const std::string& path) {
+    return zoo_create(handle_, path.c_str(), "mine", 4, &ZOO_CREATOR_ALL_ACL, 0, nullptr, 0);
+  }
+  /// Makes a node that everybody may use its own.
+  int seize(const std::string& path) { return zoo_set_acl(handle_, path.c_str(), -1, &ZOO_CREATOR_ALL_ACL); }
+
+ private:
+  static void on_event(zhandle_t* handle, int type, int state, const char* /*path*/, void* self) {
+    auto* const client = static_cast<BareClient*>(self);
+    if (type != ZOO_SESSION_EVENT || state != ZOO_CONNECTED_STATE || client->identified_) return;
+    const std::string& identity = client->identity_;
+    zoo_add_auth(handle, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
+    client->identified_ = true;
+  }
+
+  const std::string identity_;
+  std::atomic<bool> identified_{false};
+  zhandle_t* handle_ = nullptr;
+};
+
+TEST_P(FleetAccess, TheThiefOfAGatewaySeizesNoNodeOfOthersByTheBareClient) {
+  const auto master = member("masters");
+  const auto one = member("g1");
+  live(*one, "g1"_gateway, *master);
+  live(*member("g2"), "g2"_gateway, *master);
+  BareClient thief(options_of("g2").url, "g2");
+  const std::string instance = paths_.instance("turtle"_driver, "g1"_instance);
+  for (const std::string& path : {paths_.sensors, paths_.driver("turtle"_driver), paths_.gateways, instance,
+                                  instance + "/kinect", paths_.gateway("g1"_gateway), paths_.orders("g1"_gateway),
+                                  paths_.orders("g2"_gateway), paths_.order("g1"_gateway, "a"_instance),
+                                  paths_.order("g2"_gateway, "a"_instance), paths_.removals("g2"_gateway)}) {
+    EXPECT_EQ(thief.seize(path), ZNOAUTH) << path;
+  }
+  for (const std::string& path :
+       {paths_.order("g1"_gateway, "b"_instance), paths_.order("g2"_gateway, "b"_instance), instance + "/arm",
+        paths_.gateway("g1"_gateway) + "/frozen", paths_.masters() + "/m0", paths_.topologies + "/t"}) {
+    EXPECT_NE(thief.create(path), ZOK) << path;
+  }
+  EXPECT_EQ(thief.seize(paths_.gateway("g2"_gateway)), ZOK) << "what is its own";
+}
+
+TEST_P(FleetAccess, ANameThatAThiefHasSeizedBeforeAnybodyTookItIsFreeOnceTheRightsAreRenewed) {
+  const auto master = member("masters");
+  const auto one = member("g1");
+  live(*one, "g1"_gateway, *master);
+  BareClient thief(options_of("g2").url, "g2");
+  const std::string empty = paths_.driver("lamp"_driver), full = paths_.driver("heater"_driver);
+  for (const std::string& path : {empty, full, full + "/1", paths_.gateway("g3"_gateway)})
+    ASSERT_EQ(thief.create(path), ZOK) << path;
+  const auto take = [&] { put(*one, paths_.instance("lamp"_driver, "g1"_instance), "record"); };
+  EXPECT_EQ(code_of(take), Code::denied) << "the attack";
+  const auto done = renew_rights(options_of("masters"), paths_);
+  EXPECT_THAT(done.removed, testing::UnorderedElementsAre(empty, paths_.gateway("g3"_gateway)));
+  EXPECT_THAT(done.foreign, testing::ElementsAre(full)) << "which it says";
+  take();
+  put(*one, paths_.instance("turtle"_driver, "g1"_instance), "as before");
+}
+
 TEST_P(FleetAccess, MastersMayDoEverythingAndWorkersTheirTopologiesOnly) {
   const auto master = member("masters");
   const auto one = member("g1");
@@ -186,6 +263,10 @@ TEST_P(FleetAccess, MastersMayDoEverythingAndWorkersTheirTopologiesOnly) {
   denied([&] { worker->create(paths_.removal("g1"_gateway, "b"_instance), "forged"); });
   denied([&] { worker->set(paths_.instance("turtle"_driver, "g1"_instance), "forged"); });
   denied([&] { worker->create(paths_.gateway("g9"_gateway), "forged"); });
+  denied([&] { worker->set(paths_.gateway("g1"_gateway), "forged"); });
+  denied([&] { worker->set(paths_.channel("turtle"_driver, "g1"_instance, "kinect"), "forged"); });
+  denied([&] { worker->remove(paths_.channel("turtle"_driver, "g1"_instance, "kinect")); });
+  denied([&] { worker->create(paths_.gateway("g1"_gateway) + "/frozen", "forged"); });
   worker->remove(paths_.topology_order("t"_topology));  // as the last one of a killed topology; SECURITY.md
 
   remove_tree(*master, paths_.sensors);
