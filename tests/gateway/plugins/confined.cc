@@ -9,6 +9,7 @@
 #include <arpa/inet.h>
 #include <fcntl.h>
 #include <grp.h>
+#include <linux/sched.h>
 #include <netinet/in.h>
 #include <sched.h>
 #include <signal.h>
@@ -33,7 +34,7 @@ using namespace std::chrono_literals;
 ///   secret_file: a path that it tries to read
 ///   secret_variable: a variable of the environment that it looks for
 ///   victim: the id of a process that it tries to signal, to debug, and to read the memory and environment of
-///   near, far: IPv4 addresses to which it sends a datagram
+///   near, far: addresses to which it sends a datagram
 ///   port, other_port: of 127.0.0.1, to which it connects
 ///   chatter: "true": it writes 16 KiB to stdout every 2 ms
 class ConfinedDriver final : public drivers::Driver {
@@ -55,6 +56,8 @@ class ConfinedDriver final : public drivers::Driver {
         {"no_new_privileges", std::to_string(prctl(PR_GET_NO_NEW_PRIVS, 0, 0, 0, 0))},
         {"dumpable", std::to_string(prctl(PR_GET_DUMPABLE, 0, 0, 0, 0))},
         {"unshare", outcome(unshare(0))},
+        {"name_space_by_clone", outcome(name_space())},
+        {"name_space_by_clone3", outcome(name_space_by_clone3())},
         {"ptrace", outcome(ptrace(PTRACE_PEEKDATA, getpid(), nullptr, nullptr))},
         {"process_vm_readv", outcome(read_own_memory())},
         {"thread", outcome(thread())},
@@ -129,15 +132,45 @@ class ConfinedDriver final : public drivers::Driver {
   /// Opens a ring whose parameters are missing: EFAULT, if the call is not refused before.
   static long io_uring() { return syscall(SYS_io_uring_setup, 1, nullptr); }
 
+  /// A child in a name space of its own that ends at once.
+  static long name_space() {
+    const long child = syscall(SYS_clone, CLONE_NEWUTS | SIGCHLD, nullptr, nullptr, nullptr, nullptr);
+    return ended(child);
+  }
+
+  /// The same by the call whose flags are in memory.
+  static long name_space_by_clone3() {
+    clone_args arguments{};
+    arguments.flags = CLONE_NEWUTS;
+    arguments.exit_signal = SIGCHLD;
+    return ended(syscall(SYS_clone3, &arguments, sizeof(arguments)));
+  }
+
+  static long ended(long child) {
+    if (child == 0) _exit(0);
+    if (child > 0) waitpid(static_cast<pid_t>(child), nullptr, 0);
+    return child;
+  }
+
   static long datagram(const std::string& address) {
     constexpr std::uint16_t discard = 9;
     sockaddr_in to{};
     to.sin_family = AF_INET;
     to.sin_port = htons(discard);
-    inet_pton(AF_INET, address.c_str(), &to.sin_addr);
-    const int socket = ::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+    if (inet_pton(AF_INET, address.c_str(), &to.sin_addr) == 1) return datagram(to);
+    sockaddr_in6 to6{};
+    to6.sin6_family = AF_INET6;
+    to6.sin6_port = htons(discard);
+    inet_pton(AF_INET6, address.c_str(), &to6.sin6_addr);
+    return datagram(to6);
+  }
+
+  template <typename Address>
+  static long datagram(const Address& to) {
+    const auto* const address = reinterpret_cast<const sockaddr*>(&to);
+    const int socket = ::socket(address->sa_family, SOCK_DGRAM | SOCK_CLOEXEC, 0);
     if (socket < 0) return socket;
-    const long sent = sendto(socket, "", 1, 0, reinterpret_cast<const sockaddr*>(&to), sizeof(to));
+    const long sent = sendto(socket, "", 1, 0, address, sizeof(to));
     const int error = errno;
     ::close(socket);
     errno = error;
