@@ -1,6 +1,8 @@
 // Who may do what with the master's API: tokens, roles, and what is written down of it.
 #include <filesystem>
 #include <fstream>
+#include <future>
+#include <iterator>
 #include <map>
 #include <optional>
 #include <regex>
@@ -23,6 +25,7 @@
 #include <iotcloud/security/tokens.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/loopback_listener.h>
 #include <iotcloud/tests/master/fleet.h>
 #include <iotcloud/tests/rpc/as_nobody.h>
 #include <iotcloud/tests/security/certificates.h>
@@ -558,6 +561,38 @@ TEST_F(Access, AViewerSeesNoBrokersPassword) {
     EXPECT_EQ(drivers->at(0).channels[0].brokerUrl, "amqp://robot:***@127.0.0.1:5672/");
     EXPECT_EQ(drivers->at(0).channels[0].properties.at("urls"), "***") << "also not among several";
   }
+}
+
+std::size_t threads_of_this_process() {
+  const std::filesystem::directory_iterator threads("/proc/self/task");
+  return static_cast<std::size_t>(std::distance(begin(threads), end(threads)));
+}
+
+TEST_F(Access, AViewersQuestionToManySilentGatewaysTakesFewThreads) {
+  constexpr std::size_t many = 24, most = 16;  // GatewayAsks
+  const tests::LoopbackListener silent;
+  std::vector<std::unique_ptr<FakeGateway>> gateways;
+  const discovery::Paths paths;
+  const auto registry = test::open_registry(url_);
+  for (std::size_t i = 0; i < many; ++i) {
+    const discovery::GatewayId id("silent" + std::to_string(i));
+    gateways.push_back(std::make_unique<FakeGateway>(url_, id.str()));
+    auto record = discovery::decode_gateway(registry->get(paths.gateway(id))->data, id.str());
+    record.host = "127.0.0.1";
+    record.port = silent.port();
+    discovery::put(*registry, paths.gateway(id), encode(record));
+  }
+  auto client = connect(viewer_);
+  const std::size_t before = threads_of_this_process();
+  wire::TDriverHistory history;
+  auto answer = std::async(std::launch::async, [&] { client.getHistory(history, {}, {}, 10); });
+  std::size_t peak = 0;
+  while (answer.wait_for(std::chrono::milliseconds(1)) != std::future_status::ready)
+    peak = std::max(peak, threads_of_this_process());
+  answer.get();
+  EXPECT_GE(history.silent.size(), many);
+  EXPECT_GE(peak, before + most);
+  EXPECT_LE(peak, before + most + 2) << "that of this question, and the test's own";
 }
 
 class LoopbackAccess : public Access {
