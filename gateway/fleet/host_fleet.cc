@@ -113,7 +113,7 @@ std::vector<HostedInstance> HostFleet::adopt() {
 }
 
 std::shared_ptr<HostFleet::Host> HostFleet::host_for(const discovery::OrderRecord& order) {
-  HostOrder wanted{order.plugin, options_.gateway, false, order.sha256, {}};
+  HostOrder wanted{order.plugin, options_.gateway, false, order.sha256, {}, order.previous.has_value()};
   wanted.isolated = isolated(order, wanted, launcher_);
   const std::string key = key_of(wanted, order.instance);
   auto& host = hosts_[key];

@@ -57,10 +57,10 @@ PluginVersions::Known PluginVersions::known(const std::string& name) const {
   return found == known_.end() ? Known{} : found->second;
 }
 
-void PluginVersions::learn(const security::PluginSignature& signature) {
+void PluginVersions::learn(const security::PluginSignature& signature, bool of_update) {
   AllKnown next = known_;
   Known& fresh = next[signature.name];
-  fresh = {signature.version, fresh.newest, clock_.wall_ms()};
+  fresh = {signature.version, fresh.newest, of_update ? clock_.wall_ms() : 0};
   writing_ = true;
   try {
     const config::Unlocked unlocked(mutex_);  // a version that ran before does not wait for the disk
@@ -75,16 +75,17 @@ void PluginVersions::learn(const security::PluginSignature& signature) {
   written_.notify_all();
 }
 
-void PluginVersions::admit(const std::string& plugin, const security::PluginSignature& signature) {
+void PluginVersions::admit(const std::string& plugin, const security::PluginSignature& signature, bool of_update) {
   const config::MutexLock lock(mutex_);
   if (signature.version == 0) return refuse_without_version(plugin);
   while (signature.version > known(signature.name).newest) {
-    if (!writing_) return learn(signature);
+    if (!writing_) return learn(signature, of_update);
     written_.wait(mutex_);
   }
   const Known known = this->known(signature.name);
   if (signature.version == known.newest) return;
-  if (signature.version == known.before && clock_.wall_ms() - known.since_ms < options_.way_back.count()) return;
+  const bool goes_back = signature.version == known.before && known.since_ms != 0;
+  if (goes_back && clock_.wall_ms() - known.since_ms < options_.way_back.count()) return;
   if (may_go_back(signature.name)) {
     logger.warn("{}: version {} runs although version {} ran here, as plugins.allow_rollback says", plugin,
                 signature.version, known.newest);

@@ -248,7 +248,7 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   const auto found = source_.find(wanted);
   HostOrder order = wanted;
   order.identity = found.identity;
-  if (!order.identity.signed_by.empty()) versions_.admit(order.plugin, found.signature);
+  if (!order.identity.signed_by.empty()) versions_.admit(order.plugin, found.signature, order.of_update);
   // Each host has a socket name of its own, so that an ending host and its successor do not conflict.
   const std::string socket = discovery::new_instance_id().str().substr(0, 12) + std::string(socket_suffix);
   const std::string log_file = log_of(order.plugin).path;

@@ -98,6 +98,8 @@ struct HostOrder {
   /// The SHA-256 in the order, for an uploaded plugin; empty: the plugin is in the gateway's plugin folder.
   std::string sha256{};
   PluginIdentity identity{};  ///< the bytes found when the host was started
+  /// The order that starts the host is one of an update, which may go back. Not passed on to the host.
+  bool of_update = false;
   static constexpr const char* what = "the order for a driver host";
   static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(plugin, required), IOTCLOUD_FIELD(gateway, required),
                                             IOTCLOUD_FIELD(isolated, required), IOTCLOUD_FIELD(sha256, usual),

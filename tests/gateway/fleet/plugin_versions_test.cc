@@ -30,11 +30,12 @@ struct VersionsClock final : config::Clock {
 class PluginVersionsTest : public security::KeyFolder {
  protected:
   PluginVersions versions() const { return PluginVersions(options_, clock_); }
-  static std::string refusal(PluginVersions& versions, std::uint64_t version, const std::string& file = "turtle.so") {
+  static std::string refusal(PluginVersions& versions, std::uint64_t version, const std::string& file = "turtle.so",
+                             bool of_update = false) {
     PluginSignature signature;
     if (version > 0) signature.name = "turtle";
     signature.version = version;
-    return error_of([&] { versions.admit(file, signature); });
+    return error_of([&] { versions.admit(file, signature, of_update); });
   }
 
   VersionsClock clock_;
@@ -81,10 +82,20 @@ TEST_F(PluginVersionsTest, AVersionThatRanDoesNotWaitUntilANewerOneIsOnTheDisk) 
 TEST_F(PluginVersionsTest, AnUpdateMayGoBackForAWhileToTheVersionBefore) {
   auto known = versions();
   EXPECT_THAT(refusal(known, 1), IsEmpty());
-  EXPECT_THAT(refusal(known, 2), IsEmpty());
+  EXPECT_THAT(refusal(known, 2, "turtle.so", true), IsEmpty());
   EXPECT_THAT(refusal(known, 1), IsEmpty()) << "the update failed";
+  auto restarted = versions();
+  EXPECT_THAT(refusal(restarted, 1), IsEmpty());
   clock_.ms += options_.way_back.count();
   EXPECT_THAT(refusal(known, 1), HasSubstr("is older"));
+}
+
+TEST_F(PluginVersionsTest, WhatNoUpdateBroughtLeavesNoWayBack) {
+  auto known = versions();
+  EXPECT_THAT(refusal(known, 1), IsEmpty());
+  EXPECT_THAT(refusal(known, 2), IsEmpty());
+  EXPECT_THAT(refusal(known, 1), HasSubstr("is older"));
+  EXPECT_THAT(refusal(known, 1, "turtle.so", true), HasSubstr("is older")) << "an update to the old one opens nothing";
 }
 
 TEST_F(PluginVersionsTest, APersonMaySayThatAnOlderOneRuns) {

@@ -79,6 +79,35 @@ TEST_F(SentPluginTest, AnOldSignedPluginIsNotRolledBackTo) {
   EXPECT_THAT(record("c")->reason, HasSubstr("version 2 of probe is older than version 3"));
 }
 
+TEST_F(SentPluginTest, OnlyAnOrderOfAnUpdateOpensTheWayBackToTheVersionBefore) {
+  signature_required_ = true;
+  start_gateway();
+  const auto signed_as = [&](std::uint64_t version) {
+    const auto bytes = probe("v" + std::to_string(version));
+    return send(bytes, security::sign_plugin(lab_.private_pem, "lab", bytes, "probe", version));
+  };
+  const auto first = signed_as(1), second = signed_as(2), third = signed_as(3);
+  const auto runs = [&](const std::string& sha256) {
+    return eventually([&] {
+      const auto now = record("a");
+      return now && now->state == DriverState::active && now->sha256 == sha256;
+    });
+  };
+  give(sent("a", first));
+  ASSERT_TRUE(runs(first));
+  auto update = sent("a", second);
+  update.previous = sent("a", first).version();
+  give(update);
+  ASSERT_TRUE(runs(second));
+  give(sent("a", first));
+  ASSERT_TRUE(runs(first)) << "the update went back";
+  give(sent("a", third));
+  ASSERT_TRUE(runs(third));
+  give(sent("a", second));
+  ASSERT_TRUE(comes_to("a", DriverState::failed));
+  EXPECT_THAT(record("a")->reason, HasSubstr("version 2 of probe is older than version 3"));
+}
+
 TEST_F(SentPluginTest, AnInstanceRunsWhatWasSentAndItsRecordSaysWhichBytes) {
   start_gateway();
   const auto bytes = probe("v1");
