@@ -11,6 +11,7 @@
 #include <iotcloud/gateway/host/plugin.h>
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/gateway/membership.h>
+#include <iotcloud/gateway/order_audit.h>
 #include <iotcloud/gateway/order_feed.h>
 
 namespace iotcloud::gateway {
@@ -61,6 +62,7 @@ class StartOutcome {
 struct Gateway::Impl {
   explicit Impl(GatewayOptions given)
       : options(std::move(given)),
+        audit(options.audit ? std::make_unique<OrderAudit>(options.audit) : nullptr),
         clock(clock_of(options)),
         membership(*options.registry, options.paths,
                    {record_of(options), options.state_id, options.session_timeout, &clock}),
@@ -82,6 +84,7 @@ struct Gateway::Impl {
     to.present = [this] { return instances.present(); };
     to.without_record = [this](const auto& of) { return instances.without_record(of); };
     to.on_frozen = [this] { instances.publish_adopted(); };
+    if (audit) to.audit = [this](security::AuditEntry entry) { audit->write(std::move(entry)); };
     to.on_orders_read = [this] {
       knows_registry = true;
       write_records();
@@ -103,6 +106,7 @@ struct Gateway::Impl {
   void finish_stop(const std::shared_ptr<std::promise<void>>& done);
 
   const GatewayOptions options;
+  const std::unique_ptr<OrderAudit> audit;
   const config::Clock& clock;
   Membership membership;
   bool told_taken = false;

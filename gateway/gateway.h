@@ -17,6 +17,7 @@
 #include <iotcloud/gateway/fleet/placement.h>
 #include <iotcloud/gateway/ordered_instances.h>
 #include <iotcloud/processes/plugin_store.h>
+#include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/trusted_keys.h>
 
 namespace iotcloud::gateway {
@@ -35,6 +36,9 @@ struct GatewayOptions {
   std::shared_ptr<processes::PluginStore> plugins;
   /// The masters whose orders are followed; null: every order that stands in the registry.
   std::shared_ptr<const security::TrustedKeys> order_keys;
+  /// Where signed orders of the registry that are followed, and those that are refused, are written; null: in the
+  /// ordinary log only.
+  std::shared_ptr<security::AuditLog> audit;
   std::string followed_file;  ///< see FollowedOrders; empty: a restarted gateway may follow old signed orders
   std::string state_id;       ///< see Membership::Options
   std::string history_file;   ///< keeps changes of state across restarts (ChangeFile); empty: memory only

@@ -248,7 +248,7 @@ GatewayConfig read_gateway(config::YamlSection& file) {
   gateway.brokers = read_brokers(file, gateway.session_timeout);
   check_id(file, gateway);
   read_thrift(file, config);
-  config.thrift.audit = security::read_audit(file);
+  config.audit = security::read_audit(file);
   read_plugins(file, config);
   read_orders(file, config);
   config.hosts.state_dir = file.require_string("state");

@@ -19,8 +19,9 @@ struct GatewayConfig {
   std::shared_ptr<security::TrustedKeys>
       order_keys;                        ///< the masters' keys, also in `gateway`; null: none are asked for
   std::int64_t plugin_upload_limit = 0;  ///< the largest uploaded plugin, in bytes
-  SiteService::Options thrift;
-  rpc::PageSettings pages;  ///< /metrics and /healthz
+  SiteService::Options thrift;           ///< `audit` is not set
+  security::AuditSettings audit;  ///< of the orders to the Thrift service and, if they are signed, in the registry
+  rpc::PageSettings pages;        ///< /metrics and /healthz
 
   /// \throws config::ConfigError with file, line, key and remedy.
   static GatewayConfig load(const std::string& file);

@@ -70,6 +70,8 @@ class GatewayDaemon final : public config::DaemonService {
       replaced = true;
       kill(getpid(), SIGTERM);
     };
+    if (!config_.audit.file.empty()) options.audit = std::make_shared<security::AuditLog>(config_.audit);
+    config_.thrift.audit = options.audit;
     gateway_.emplace(std::move(options));
     // The ports are opened before the gateway registers: a gateway that cannot have them leaves no record in the
     // registry, which would show it as lost for ever.

@@ -8,6 +8,7 @@
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/gateway/order_feed.h>
 #include <iotcloud/security/signed_object.h>
+#include <iotcloud/security/tokens.h>
 
 namespace iotcloud::gateway {
 
@@ -415,6 +416,7 @@ OrderFeed::Instances OrderFeed::without_removal(const Instances& names) {
     if (const auto removed = removed_at(instance, node)) {
       removals.push_back(followed(instance, *removed));
       removals.back().removed = true;
+      audit_followed(instance, *node, paths_.removal(gateway_, instance), "removal");
     } else {
       unproven.insert(instance);
     }
@@ -558,7 +560,10 @@ void OrderFeed::follow_due() {
   const auto due = std::exchange(due_, {});
   if (due.empty() || stopped_) return;
   std::vector<FollowedOrder> orders;
+  Instances fresh;  // not what was followed before a restart
   for (const auto& [instance, one] : due) {
+    const auto* last = done_.find(instance);
+    if (last == nullptr || last->removed || last->given_ms != one.order.given_ms) fresh.insert(instance);
     orders.push_back(followed(instance, one.order.given_ms));
     orders.back().created = one.node.created;
     orders.back().version = one.node.version;
@@ -576,8 +581,24 @@ void OrderFeed::follow_due() {
   }
   for (const auto& [instance, one] : due) {
     first_.erase(instance);
+    if (fresh.contains(instance))
+      audit_followed(instance, one.node, paths_.order(gateway_, instance), one.order.plugin);
     listener_.on_order(one.order, one.node.version);
   }
+}
+
+/// \param what the order is about, besides its instance
+void OrderFeed::audit_followed(const discovery::InstanceId& instance, const discovery::Node& node,
+                               const std::string& path, const std::string& what) const {
+  if (!listener_.audit || !masters_) return;
+  security::AuditEntry entry;
+  entry.who = security::signer_of_object(*masters_, path, node.data);
+  entry.role = to_string(security::Role::master);
+  entry.address = "registry";
+  entry.order = path;
+  entry.what = fmt::format("{} of {}", what, instance);
+  entry.outcome = "followed";
+  listener_.audit(std::move(entry));
 }
 
 bool OrderFeed::is_out_of_date(const discovery::OrderRecord& order) const {
@@ -595,6 +616,14 @@ bool OrderFeed::is_signed(const std::string& path, const discovery::Node& node) 
 void OrderFeed::refuse(const discovery::InstanceId& instance, const std::string& what, const std::string& advice) {
   const std::string named = fmt::format(fmt::runtime(what), instance);
   logger.error("refused: {}. What runs goes on as it is. {}", named, advice);
+  if (listener_.audit) {
+    security::AuditEntry entry;
+    entry.event = security::AuditEvent::refused;
+    entry.address = "registry";
+    entry.order = paths_.order(gateway_, instance);
+    entry.outcome = named;
+    listener_.audit(std::move(entry));
+  }
   {
     const config::MutexLock lock(mutex_);
     refused_[instance] = named;

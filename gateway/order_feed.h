@@ -18,6 +18,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/gateway/followed_orders.h>
 #include <iotcloud/gateway/host/event_loop.h>
+#include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/trusted_keys.h>
 
 namespace iotcloud::gateway {
@@ -62,6 +63,9 @@ class OrderFeed {
     std::function<void()> on_frozen;
     /// The orders have been read, and are followed or not: from now on the gateway may write its records.
     std::function<void()> on_orders_read;
+    /// Takes a line for the audit log: a signed order, or removal of one, that is followed now, or one that is refused.
+    /// May be empty.
+    std::function<void(security::AuditEntry entry)> audit{};
   };
 
   /// \param followed_file see FollowedOrders. \throws config::Error as FollowedOrders does.
@@ -115,6 +119,8 @@ class OrderFeed {
   bool is_signed(const std::string& path, const discovery::Node& node) const;
   bool is_out_of_date(const discovery::OrderRecord& order) const;
   bool leads_now(std::int64_t epoch) const;
+  void audit_followed(const discovery::InstanceId& instance, const discovery::Node& node, const std::string& path,
+                      const std::string& what) const;
   FollowedOrder followed(const discovery::InstanceId& instance, std::int64_t given_ms) const;
   void follow_due();
   void read_refused_later();

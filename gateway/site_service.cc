@@ -45,7 +45,7 @@ struct SiteService::Impl {
     access.users = options.listen.users;
     access.open = options.listen.open;
     access.limits = std::make_shared<rpc::RoleLimits>(options.listen.calls);
-    if (!options.audit.file.empty()) access.audit = std::make_shared<security::AuditLog>(options.audit);
+    access.audit = options.audit;
     if (!options.listen.tokens.empty())
       access.tokens = std::make_shared<security::TokenKeeper>(options.listen.tokens, "thrift");
   }

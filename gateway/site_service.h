@@ -20,9 +20,9 @@ class SiteService {
     std::chrono::milliseconds outcome_limit{15000};  ///< how long a call waits for the outcome of its order
     int max_connections = 64;
     int max_message_bytes = 1 << 20;
-    int max_items = 10000;            ///< the most items in one list or map
-    security::AuditSettings audit{};  ///< who gave orders to this service
-    std::string log_folder;           ///< the folder of the driver hosts' logs; empty: readLog has nothing to read
+    int max_items = 10000;                        ///< the most items in one list or map
+    std::shared_ptr<security::AuditLog> audit{};  ///< who gave orders to this service; null: no audit log
+    std::string log_folder;  ///< the folder of the driver hosts' logs; empty: readLog has nothing to read
   };
 
   /// The role that each method requires of its caller. Nobody may call a method that is not listed.

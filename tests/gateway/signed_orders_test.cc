@@ -1,11 +1,13 @@
 // A gateway that knows its masters' keys, and somebody else who can write to the registry.
 #include <filesystem>
+#include <fstream>
 
 #include <gmock/gmock.h>
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/freeze.h>
+#include <iotcloud/security/audit_chain.h>
 #include <iotcloud/security/signed_object.h>
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
@@ -17,6 +19,7 @@ namespace {
 
 using discovery::DriverState;
 using security::test::Signer;
+using ::testing::AllOf;
 using ::testing::HasSubstr;
 
 class SignedOrders : public GatewayFixture {
@@ -33,6 +36,7 @@ class SignedOrders : public GatewayFixture {
     auto with_keys = options();
     with_keys.order_keys = keys_;
     with_keys.followed_file = followed_file_;
+    with_keys.audit = audit_;
     gateway_.emplace(std::move(with_keys));
     gateway_->start();
   }
@@ -69,7 +73,42 @@ class SignedOrders : public GatewayFixture {
   const Signer master_{folder_ / "", "master"};
   const Signer thief_{folder_ / "", "thief"};
   std::shared_ptr<const security::TrustedKeys> keys_;
+  std::shared_ptr<security::AuditLog> audit_;
 };
+
+TEST_F(SignedOrders, ThatAreFollowedAndRefusedAreInTheChainedAuditLog) {
+  gateway_.reset();
+  const std::string file = folder_ / "audit.log";
+  audit_ = std::make_shared<security::AuditLog>(file);
+  start();
+  give(given("forged"));
+  ASSERT_TRUE(refuses(1, "forged"));
+  give_signed(given("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  take_back("a");
+  ASSERT_TRUE(refuses(2, "the removal of the order for a"));
+  discovery::put(*registry_, removal_place("a"),
+                 security::sign_object(master_.key(), removal_place("a"), removal("a", start_ms_ + 1)));
+  ASSERT_TRUE(eventually([&] { return !record("a"); }));
+  gateway_.reset();
+  start();  // what was followed before is not followed anew
+  give_signed(given("b"));
+  ASSERT_TRUE(comes_to("b", DriverState::active));
+  gateway_.reset();
+  audit_.reset();
+  std::vector<std::string> lines;
+  std::ifstream in(file);
+  for (std::string line; std::getline(in, line);) {
+    if (line.find(place("forged")) == std::string::npos || lines.empty()) lines.push_back(line);
+  }
+  ASSERT_EQ(lines.size(), 5u);
+  EXPECT_THAT(lines[0], AllOf(HasSubstr("\"refused\":true"), HasSubstr(place("forged"))));
+  EXPECT_THAT(lines[1], AllOf(HasSubstr("\"who\":\"master\""), HasSubstr("probe.so of a"), HasSubstr("followed")));
+  EXPECT_THAT(lines[2], AllOf(HasSubstr("\"refused\":true"), HasSubstr("the removal of the order for a")));
+  EXPECT_THAT(lines[3], AllOf(HasSubstr("\"who\":\"master\""), HasSubstr("removal of a")));
+  EXPECT_THAT(lines[4], HasSubstr("probe.so of b"));
+  EXPECT_TRUE(security::verify_audit({file}, {}).findings.empty());
+}
 
 TEST_F(SignedOrders, OfATrustedMasterAreFollowedAndOthersAreRefusedSaidAndCounted) {
   const auto before = refusals();

@@ -51,7 +51,7 @@ class SiteServiceTest : public GatewayFixture {
     service_.reset();
     SiteService::Options options;
     options.listen.port = 0;
-    options.audit = audit;
+    options.audit = std::make_shared<security::AuditLog>(audit);
     service_.emplace(options, *gateway_, *registry_, paths_);
     connect();
   }
