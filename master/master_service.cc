@@ -86,6 +86,7 @@ class MasterService final : public config::DaemonService {
     if (config_.gateways) {
       OriginalGatewaysOptions original_options;
       original_options.paths = discovery::Paths(config_.sensors_root);
+      original_options.access = config_.registry.access;
       original_ = std::make_unique<OriginalGateways>(*registry_, original_options);
     }
     MasterOptions options;

@@ -216,6 +216,8 @@ std::string OriginalGateways::register_gateway(GatewayRecord record) {
     return fmt::format("\"{}\" cannot be a gateway's id: not empty, no '/', no control characters", record.id);
   if (record.host.empty() || record.port < 1 || record.port > 65535)
     return fmt::format("{}:{} is no address: heartbeats and orders go there", record.host, record.port);
+  if (impl_->options.access && impl_->options.access->is_gateway(record.id))
+    return fmt::format("{} is a gateway of this system, as registry.users says; give this one another id", record.id);
   const config::MutexLock one_at_a_time(impl_->registering);
   try {
     const auto node = impl_->registry.get(impl_->options.paths.gateway(record.id));

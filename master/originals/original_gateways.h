@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 
+#include <iotcloud/discovery/access.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/master/orders/direct_gateways.h>
@@ -16,6 +17,8 @@ struct OriginalGatewaysOptions {
   discovery::Paths paths;
   std::chrono::milliseconds heartbeat_interval{500};  ///< the interval of the original's master
   std::chrono::milliseconds heartbeat_limit{2'000};   ///< time limit of one answer
+  /// The users of the fleet at the registry, whose gateways are of this system, registered or not; null: unknown.
+  std::shared_ptr<const discovery::RegistryAccess> access{};
   int misses_until_lost = 4;  ///< missed answers in a row after which the gateway is lost; one answer brings it back
 };
 

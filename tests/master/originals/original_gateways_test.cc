@@ -286,6 +286,23 @@ TEST_F(OriginalGatewayTest, AnIdOfAGatewayOfThisSystemIsRefused) {
   EXPECT_EQ((*master)->drivers().at(0).gateway, "java1");
 }
 
+TEST_F(OriginalGatewayTest, AnIdOfAUserOfTheRegistryIsRefusedAlsoIfItsGatewayNeverRegistered) {
+  OriginalGatewaysOptions options;
+  options.access = std::make_shared<const discovery::RegistryAccess>(
+      std::vector<discovery::RegistryUser>{{discovery::RegistryUser::Role::gateway, "java1", "digest"},
+                                           {discovery::RegistryUser::Role::worker, "java2", "digest"}},
+      paths);
+  OriginalGateways with_users(*registry, options);
+  discovery::GatewayRecord record;
+  record.id = "java1"_gateway;
+  record.host = "127.0.0.1";
+  record.port = 12903;
+  EXPECT_THAT(with_users.register_gateway(record), HasSubstr("as registry.users says"));
+  EXPECT_FALSE(registry->get(paths.gateway("java1"_gateway)));
+  record.id = "java2"_gateway;
+  EXPECT_EQ(with_users.register_gateway(record), "");
+}
+
 TEST_F(OriginalGatewayTest, NamesThatCannotStandInTheRegistryAreRefused) {
   auto bad = site();
   bad.siteId = "../sensors";
