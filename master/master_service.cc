@@ -89,6 +89,10 @@ class MasterService final : public config::DaemonService {
       original_options.access = config_.registry.access;
       original_ = std::make_unique<OriginalGateways>(*registry_, original_options);
     }
+    if (!config_.gateway_token_file.empty() && config_.gateway_token_file.find("{gateway}") == std::string::npos)
+      logger.warn(
+          "this master shows every gateway the same token, so whoever has one gateway's token file knows what "
+          "others take: give each its own, with {{gateway}} in api.gateway_token_file");
     MasterOptions options;
     options.id = config_.id;
     options.address = config_.api.advertise;
