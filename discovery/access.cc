@@ -71,8 +71,8 @@ std::vector<RegistryAccess::Grant> RegistryAccess::grants(const std::string& pat
 
 int RegistryAccess::rights_of(const RegistryUser& user, const std::string& path, const std::string& creator) const {
   if (user.role == RegistryUser::Role::master) return all;
-  const std::vector<std::string> roots{paths_.sensors, paths_.gateways, paths_.topologies, paths_.groups,
-                                       paths_.masters()};
+  const std::vector<std::string> roots{paths_.sensors, paths_.gateways, paths_.topologies,
+                                       paths_.groups,  paths_.pools,    paths_.masters()};
   const bool in_a_branch =
       std::any_of(roots.begin(), roots.end(), [&](const auto& root) { return is_at_or_below(path, root); });
   if (!in_a_branch) return read | create;  // a node above the branches: the first process that comes makes the branches
@@ -103,11 +103,14 @@ bool RegistryAccess::is_of_orders(const std::string& path) const {
 }
 
 int RegistryAccess::of_worker(const std::string& path) const {
-  if (is_at_or_below(path, paths_.groups)) return all;
+  if (is_at_or_below(path, paths_.groups) || is_at_or_below(path, paths_.pools)) return all;
   if (!is_at_or_below(path, paths_.topologies)) {
     return is_below(path, paths_.gateways) && is_of_orders(path) ? 0 : read;
   }
-  return path.ends_with("/wanted") && path != paths_.topologies + "/wanted" ? read : all;
+  const auto is_order = [&](const std::string& name) {
+    return path.ends_with(name) && path.size() > paths_.topologies.size() + name.size();
+  };
+  return is_order("/wanted") || is_order("/submitted") ? read : all;
 }
 
 }  // namespace iotcloud::discovery

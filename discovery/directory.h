@@ -10,6 +10,7 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/selection/selection.h>
+#include <iotcloud/discovery/submissions.h>
 
 namespace iotcloud::discovery {
 
@@ -99,21 +100,30 @@ struct TopologyStatus {
   /// wanted are known.
   std::optional<TopologyOrder> order;
   std::vector<WorkerRecord> workers;  ///< live workers
+  /// Of a topology that was submitted to pools; else 0 and empty.
+  std::int64_t version = 0;  ///< TopologyVersion::number
+  std::string digest{};      ///< TopologyVersion::digest
+  int wanted_workers = 0;
+  std::string manager{};              ///< Submission::manager
+  std::vector<PlaceStatus> places{};  ///< what pools report, sorted by place
   static constexpr const char* what = "the status of a topology";
-  static constexpr auto fields =
-      std::tuple_cat(IOTCLOUD_FIELDS_OF(record, TopologyRecord),
-                     std::tuple{IOTCLOUD_FIELD_IN(AsWorkerNames, workers, usual, "worker_names", workers),
-                                IOTCLOUD_FIELD_AS(workers, usual, "workers", workerRecords),
-                                IOTCLOUD_FIELD_IN(AsWantedState, order, usual, "wanted", wanted),
-                                IOTCLOUD_FIELD_IN(AsRevision, order, usual, "revision", revision)});
+  static constexpr auto fields = std::tuple_cat(
+      IOTCLOUD_FIELDS_OF(record, TopologyRecord),
+      std::tuple{IOTCLOUD_FIELD_IN(AsWorkerNames, workers, usual, "worker_names", workers),
+                 IOTCLOUD_FIELD_AS(workers, usual, "workers", workerRecords),
+                 IOTCLOUD_FIELD_IN(AsWantedState, order, usual, "wanted", wanted),
+                 IOTCLOUD_FIELD_IN(AsRevision, order, usual, "revision", revision), IOTCLOUD_FIELD(version, rare),
+                 IOTCLOUD_FIELD(digest, rare), IOTCLOUD_FIELD_AS(wanted_workers, rare, "wanted_workers", wantedWorkers),
+                 IOTCLOUD_FIELD(manager, rare), IOTCLOUD_FIELD(places, rare)});
 };
-/// All topologies with their orders and workers. \throws RegistryError.
+/// All topologies that run, have orders or are submitted, with their orders and workers. \throws RegistryError.
 std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths);
 /// The workers that live. \throws RegistryError.
 std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const TopologyName& topology);
 
-/// Removes all nodes of a topology that nobody runs any more, its orders included.
-/// \return false, with nothing but end reports removed, while workers live. \throws RegistryError.
+/// Removes all nodes of a topology that nobody runs any more, its orders included, but for its history and the mark
+/// that its submission was killed, by which a pool that was cut off meanwhile knows that it ended. \return false, with
+/// nothing but end reports removed, while workers live. \throws RegistryError.
 bool remove_topology(Registry& registry, const Paths& paths, const TopologyName& topology, const Fence& fence = {});
 
 }  // namespace iotcloud::discovery

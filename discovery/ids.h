@@ -51,6 +51,7 @@ using GatewayId = Id<struct GatewayTag>;
 using InstanceId = Id<struct InstanceTag>;  ///< of a driver instance
 using DriverName = Id<struct DriverTag>;    ///< of a kind of driver ("turtle"), which many instances have
 using TopologyName = Id<struct TopologyTag>;
+using PoolId = Id<struct PoolTag>;  ///< of a pool of topology workers
 
 namespace detail {
 template <typename Value>

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <map>
 #include <utility>
 
@@ -45,6 +46,16 @@ void for_each_child(Registry& registry, const std::string& path,
   for (std::size_t i = 0; i < paths.size(); ++i) {
     if (auto record = record_of(nodes[i], paths[i], decode)) use(name_of(paths[i]), std::move(*record));
   }
+}
+
+void describe(TopologyStatus& status, const Submission& submission, std::vector<PlaceStatus> places) {
+  if (submission.killed && places.empty()) return;
+  status.version = submission.version.number;
+  status.digest = submission.version.digest;
+  status.wanted_workers = submission.workers;
+  status.manager = submission.manager;
+  std::sort(places.begin(), places.end(), [](const auto& a, const auto& b) { return a.place < b.place; });
+  status.places = std::move(places);
 }
 
 }  // namespace
@@ -159,11 +170,27 @@ std::vector<std::string> AsWorkerNames::to(const std::vector<WorkerRecord>& work
 }
 
 std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& paths) {
+  const auto submissions = list_submissions(registry, paths);
+  std::map<TopologyName, std::vector<PlaceStatus>> places;
+  if (!submissions.empty()) {
+    for (const auto& pool : list_pools(registry, paths)) {
+      for (const auto& place : pool.places) places[place.topology].push_back(place);
+    }
+  }
   std::vector<TopologyStatus> topologies;
-  for_each_child(registry, paths.topologies, decode_topology, [&](const std::string& node_name, TopologyRecord record) {
-    const TopologyName name(node_name);
+  const auto all = below(registry, {paths.topologies});
+  const auto nodes = registry.get_all(all);
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    if (!nodes[i]) continue;
+    const TopologyName name(name_of(all[i]));
+    const auto submitted = submissions.find(name);
+    // Without a record, a submitted topology is one that no worker has run yet, or, if it was killed, none any more.
+    const bool bare = nodes[i]->data.empty() && submitted != submissions.end();
+    if (bare && submitted->second.submission.killed && places[name].empty()) continue;
+    const auto record = bare ? std::optional(TopologyRecord{}) : record_of(nodes[i], all[i], decode_topology);
+    if (!record) continue;
     TopologyStatus status;
-    status.record = std::move(record);
+    status.record = *record;
     status.record.name = name;
     status.workers = list_workers(registry, paths, name);
     const std::string path = paths.topology_order(name);
@@ -173,8 +200,9 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
       if (dynamic_cast<const RegistryError*>(&error) != nullptr) throw;
       listing_logger.warn("skipped: {}", error.what());
     }
+    if (submitted != submissions.end()) describe(status, submitted->second.submission, std::move(places[name]));
     topologies.push_back(std::move(status));
-  });
+  }
   return topologies;
 }
 
@@ -204,7 +232,16 @@ bool remove_topology(Registry& registry, const Paths& paths, const TopologyName&
     if (error.code() == RegistryErrorCode::not_empty) return false;
     throw;
   }
-  remove_tree(registry, paths.topology(topology), fence);
+  const std::string path = paths.topology(topology);
+  const std::string submission = paths.submission(topology);
+  if (!registry.get(submission)) {
+    remove_tree(registry, path, fence);
+    return true;
+  }
+  for (const auto& child : below(registry, {path})) {
+    if (child != submission && child != paths.topology_history(topology)) remove_tree(registry, child, fence);
+  }
+  registry.set(path, "", -1, fence);
   return true;
 }
 

@@ -32,7 +32,8 @@ Paths::Paths(std::string sensors_root) : sensors(std::move(sensors_root)) {
   gateways = parent + "/gateways";
   topologies = parent + "/topologies";
   groups = parent + "/groups";
-  for (const std::string& taken : {gateways, topologies, groups, masters()}) {
+  pools = parent + "/pools";
+  for (const std::string& taken : {gateways, topologies, groups, pools, masters()}) {
     if (sensors == taken) throw config::Error("zk.root: \"" + sensors + "\" is taken by records of another kind");
   }
 }
@@ -81,6 +82,21 @@ std::string Paths::topology_order(const TopologyName& topology) const {
 }
 std::string Paths::ended_workers(const TopologyName& topology) const {
   return this->topology(topology) + "/ended";
+}
+std::string Paths::submission(const TopologyName& topology) const {
+  return this->topology(topology) + "/submitted";
+}
+std::string Paths::topology_history(const TopologyName& topology) const {
+  return this->topology(topology) + "/history";
+}
+std::string Paths::places(const TopologyName& topology) const {
+  return this->topology(topology) + "/places";
+}
+std::string Paths::place(const TopologyName& topology, int number) const {
+  return places(topology) + "/" + std::to_string(number);
+}
+std::string Paths::pool(const PoolId& id) const {
+  return below(pools, id);
 }
 std::string Paths::readers(const std::string& group, const DriverName& driver, const std::string& channel) const {
   return below(below(below(groups, group), driver), channel);

@@ -334,10 +334,16 @@ struct Paths {
   std::string topology_order(const TopologyName& topology) const;  ///< `/iot/topologies/<name>/wanted`
   /// Below it each worker that was killed leaves a persistent node of its name: empty, or why it did not drain.
   std::string ended_workers(const TopologyName& topology) const;
+  std::string submission(const TopologyName& topology) const;        ///< `/iot/topologies/<name>/submitted`
+  std::string topology_history(const TopologyName& topology) const;  ///< `/iot/topologies/<name>/history`
+  /// `/iot/topologies/<name>/places`: below it, by number, the places of workers that pools hold (ephemeral).
+  std::string places(const TopologyName& topology) const;
+  std::string place(const TopologyName& topology, int number) const;
+  std::string pool(const PoolId& id) const;  ///< `/iot/pools/<id>`, ephemeral
   /// The readers that read a driver's channel as one group, and which of them reads what:
   /// `/iot/groups/<group>/<driver>/<channel>`.
   std::string readers(const std::string& group, const DriverName& driver, const std::string& channel) const;
-  std::string sensors, gateways, topologies, groups;
+  std::string sensors, gateways, topologies, groups, pools;
 };
 
 /// A new instance id: a random UUID without dashes.

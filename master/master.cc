@@ -9,7 +9,7 @@ namespace iotcloud::master {
 
 struct Master::Impl : OrderServices {
   using OrderServices::OrderServices;
-  TopologyService topologies{desk};
+  TopologyService topologies{desk, submissions};
 };
 
 Master::Master(discovery::Registry& registry, MasterOptions options)
@@ -90,6 +90,16 @@ Backup Master::backup() const {
 
 std::vector<discovery::TopologyStatus> Master::topologies() const {
   return discovery::list_topologies(impl_->desk.registry, impl_->desk.options.paths);
+}
+
+std::vector<discovery::PoolRecord> Master::pools() const {
+  return discovery::list_pools(impl_->desk.registry, impl_->desk.options.paths);
+}
+
+discovery::TopologyHistory Master::history(const discovery::TopologyName& topology) const {
+  const auto path = impl_->desk.options.paths.topology_history(topology);
+  const auto node = impl_->desk.registry.get(path);
+  return node ? discovery::decode_history(node->data, path) : discovery::TopologyHistory{};
 }
 
 MasterStatus Master::status() const {

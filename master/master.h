@@ -65,6 +65,9 @@ class Master {
   std::vector<discovery::DriverRecord> drivers_and_lost_orders() const;
   std::vector<discovery::GatewayStatus> gateways() const;
   std::vector<discovery::TopologyStatus> topologies() const;
+  std::vector<discovery::PoolRecord> pools() const;
+  /// What was ordered for a submitted topology; empty for another one.
+  discovery::TopologyHistory history(const discovery::TopologyName& topology) const;
   /// The orders of all instances; gateways of the original system have none.
   std::vector<discovery::PlacedOrder> orders() const;
   /// Everything that is ordered, for the order "import".

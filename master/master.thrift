@@ -207,6 +207,21 @@ struct TWorker {
   11: bool tls
 }
 
+// A worker place of a topology that was submitted to pools, as the pool that holds it reports it.
+struct TPlace {
+  1: string topology
+  2: i32 place
+  3: string pool
+  // Of what the worker there runs, or is to run.
+  4: i64 version
+  // "starting", "running", "stopping" or "failed".
+  5: string state
+  6: string reason
+  // TWorker.name; empty: not known yet.
+  7: string worker
+  8: i64 sinceMs
+}
+
 struct TTopology {
   1: string name
   // Wall time of its start, milliseconds since 1970 UTC.
@@ -220,6 +235,46 @@ struct TTopology {
   7: string wanted
   // Revision of the last order; 0: none.
   8: i64 revision
+  // Of a topology that was submitted to pools: the number of its version, the SHA-256 of what that is, how many workers
+  // it is to have, the manifest to which it belongs, and its places. 0 and empty: it was not.
+  9: i64 version
+  10: string digest
+  11: i32 wantedWorkers
+  12: string manager
+  13: list<TPlace> places
+}
+
+// What was ordered for a submitted topology, and what became of it.
+struct TTopologyEvent {
+  // Wall time, milliseconds since 1970 UTC.
+  1: i64 timeMs
+  // "submit", "update", "rollback" or "kill".
+  2: string order
+  // The number of the version that it led to, and the SHA-256 of what that is.
+  3: i64 version
+  4: string digest
+  5: i32 workers
+  6: string outcome
+}
+
+// A pool of workers.
+struct TPool {
+  1: string pool
+  // Of its Thrift service.
+  2: string host
+  3: i32 port
+  4: bool tls
+  // 0: no limit.
+  5: i32 mostWorkers
+  // Start of its process, wall time in milliseconds since 1970 UTC.
+  6: i64 sinceMs
+  // SHA-256 of the component libraries that it keeps.
+  7: list<string> files
+  8: list<TPlace> places
+  // What it cannot do now; empty: nothing is known.
+  9: string trouble
+  // The random id of its state folder.
+  10: string stateId
 }
 
 enum TTopologyChange {
@@ -336,6 +391,8 @@ service TMasterAPIService {
   // All instances; exactState, reason and sinceMs are set.
   list<records.TSensor> listDrivers() throws (1: TMasterError error)
   list<TTopology> listTopologies() throws (1: TMasterError error)
+  // The pools of workers that live.
+  list<TPool> listPools() throws (1: TMasterError error)
   // The latest changes of state that the gateways have recorded since their start. instances: ids, or beginnings of
   // ids; empty: all. gateways: empty: all. most: how many changes at most; 0, and more than 10000, mean 10000.
   TDriverHistory getHistory(1: list<string> instances, 2: list<string> gateways, 3: i32 most)
@@ -345,6 +402,11 @@ service TMasterAPIService {
     throws (1: TMasterError error)
   // The plugins that gateways have. gateways: empty: all.
   TGatewayPlugins listPlugins(1: list<string> gateways) throws (1: TMasterError error)
+  // What was ordered for a topology, the oldest first; also for one that was killed.
+  list<TTopologyEvent> getTopologyHistory(1: string topology) throws (1: TMasterError error)
+  // A part of the log of the workers at a place of a submitted topology, as readLog().
+  TLogPart readWorkerLog(1: string topology, 2: i32 place, 3: string position, 4: i32 mostBytes)
+    throws (1: TMasterError error)
   // A page of a topology's worker, which the master reads. target: "/topology", or "/tap?..." as the worker takes it.
   string readWorkerPage(1: string topology, 2: string worker, 3: string target) throws (1: TMasterError error)
   // The gateway's lookAtChannel() and handMessage(), which the master passes on.
@@ -373,6 +435,8 @@ service TMasterAPIService {
   // Begins to send a plugin to gateways. The pieces, half a megabyte each at most, must go one after the other to the
   // same master, which passes them on. An upload without a call for a minute ends. gateways: empty: all.
   TUploadResponse offerPlugin(1: TPluginOffer offer, 2: list<string> gateways)
+  // The same for a component library, to all pools of workers; its pieces are sent in the same way.
+  TUploadResponse offerLibrary(1: TPluginOffer offer)
   TUploadResponse sendPlugin(1: string upload, 2: i64 offset, 3: binary bytes)
   TUploadResponse finishPlugin(1: string upload)
   // Gives instances another plugin, other properties, or both. They keep id and metadata. If one does not reach its

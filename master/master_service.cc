@@ -18,6 +18,7 @@
 #include <iotcloud/master/master_service.h>
 #include <iotcloud/master/originals/gateway_handler.h>
 #include <iotcloud/master/originals/original_gateways.h>
+#include <iotcloud/master/pools/library_relay.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
 #include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/security/audit_log.h>
@@ -121,6 +122,9 @@ class MasterService final : public config::DaemonService {
     access.audit = audit_;
     access.gateways = {config_.api.tls, config_.gateway_token_file};
     access.workers = {config_.api.tls, config_.worker_token_file};
+    access.pools = {config_.api.tls, config_.pool_token_file};
+    relay_ = std::make_unique<LibraryRelay>(*master_, *registry_,
+                                            LibraryRelay::Options{.paths = options.paths, .access = access.pools});
     api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));
     if (original_) {
       original_->start([this] { return master_->status().leading; });
@@ -158,6 +162,7 @@ class MasterService final : public config::DaemonService {
     metrics_.reset();
     api_.reset();
     gateways_.reset();
+    relay_.reset();
     if (original_) original_->stop();  // before the master goes, because it asks the master
     master_.reset();
     original_.reset();
@@ -170,6 +175,7 @@ class MasterService final : public config::DaemonService {
   std::unique_ptr<discovery::Registry> registry_;
   std::unique_ptr<OriginalGateways> original_;
   std::unique_ptr<Master> master_;
+  std::unique_ptr<LibraryRelay> relay_;
   std::unique_ptr<rpc::ThriftServer> api_;
   std::unique_ptr<rpc::ThriftServer> gateways_;
   std::unique_ptr<rpc::MetricsEndpoint> metrics_;
@@ -194,6 +200,11 @@ MasterDaemonConfig read_master(config::YamlSection& top) {
     if (!config.worker_token_file.empty() && !std::filesystem::exists(config.worker_token_file))
       api->refuse("worker_token_file", "the file \"" + config.worker_token_file + "\" is not there",
                   "a file whose first line is a token that the pages of topologies' workers take");
+    config.pool_token_file = api->string_or("pool_token_file", "");
+    const bool for_each_pool = config.pool_token_file.find("{pool}") != std::string::npos;
+    if (!config.pool_token_file.empty() && !for_each_pool && !std::filesystem::exists(config.pool_token_file))
+      api->refuse("pool_token_file", "the file \"" + config.pool_token_file + "\" is not there",
+                  "a file whose first line is a token that the pools of workers know");
     api->finish();
   }
   if (config.api.advertise.empty()) config.api.advertise = fmt::format("{}:{}", config.api.host, config.api.port);

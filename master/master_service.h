@@ -24,6 +24,7 @@ struct MasterDaemonConfig {
   std::optional<rpc::ListenSettings> gateways;
   std::string gateway_token_file;  ///< GatewayAccess::token_file
   std::string worker_token_file;   ///< WorkerAccess::token_file
+  std::string pool_token_file;     ///< PoolAccess::token_file
   security::AuditSettings audit;
   rpc::PageSettings pages;  ///< /metrics and /healthz
   std::string signing_key;  ///< file of the private key that signs orders to gateways; empty: unsigned

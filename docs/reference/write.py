@@ -36,6 +36,7 @@ DAEMONS = (
     ("iotcloud-gateway", "gateway.yaml", None),
     ("iotcloud-master", "master.yaml", None),
     ("iotcloud-topology", "topology.yaml", "topology/definition/README.md"),
+    ("iotcloud-topology --pool", "pool.yaml", None),
 )
 # What the first cell of that README's second table stands for.
 OWNERS = {"all": ["spouts.<name>.", "bolts.<name>."], "spouts": ["spouts.<name>."], "bolts": ["bolts.<name>."],
@@ -187,8 +188,9 @@ def section(program, file, readme, binaries):
         folder.mkdir(mode=0o700)
         configuration = folder / file
         configuration.write_text(furnished(complete, folder, binaries))
-        listed = subprocess.run([binaries / program, "--config", configuration, "--list-keys"], capture_output=True,
-                                text=True)
+        name, *options = program.split()
+        listed = subprocess.run([binaries / name, *options, "--config", configuration, "--list-keys"],
+                                capture_output=True, text=True)
     if listed.returncode != 0:
         sys.exit(f"{program} does not take {file} with all that is commented out in it:\n{listed.stderr}")
     beside = {key: text for key, text in comments(complete).items() if any(text)}

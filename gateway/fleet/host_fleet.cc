@@ -18,10 +18,6 @@ namespace {
 constexpr std::chrono::milliseconds retire_limit{5000};
 constexpr std::size_t most_asked = 256;  ///< questions that hosts have not answered
 
-std::chrono::milliseconds next_delay(std::chrono::milliseconds last, const RestartPolicy& policy) {
-  return last.count() == 0 ? policy.first : std::min(last * 2, policy.longest);
-}
-
 /// The name of an instance's driver: what its order says, or else its plugin's bytes. \return empty: not known
 DriverName driver_of(const discovery::OrderRecord& order, const HostOrder& host) {
   return order.driver.empty() ? host.identity.driver : order.driver;
@@ -100,7 +96,7 @@ std::vector<HostedInstance> HostFleet::adopt() {
       member.spec = instance.spec;
       member.host = host;
       member.status = instance.status;
-      member.started = options_.clock->now();
+      member.restarts.started(options_.clock->now());
       adopted.push_back(instance);
     }
     logger.info("adopted the driver host {} of {} with {} instance(s)", running.name, running.order.plugin,
@@ -270,7 +266,7 @@ void HostFleet::create(const discovery::OrderRecord& order) {
   member.host = host;
   member.status.instance = order.instance;
   member.status.driver = driver;
-  member.started = options_.clock->now();
+  member.restarts.started(options_.clock->now());
   host->instances.insert(order.instance);
   report(member, DriverState::deployed, "");
   if (host->link) host->link->create(member.spec);
@@ -367,30 +363,24 @@ void HostFleet::heard(const std::shared_ptr<Host>& host, const InstanceStatus& s
 /// Plans the restart of an instance whose driver threw, while its host and the other instances go on.
 void HostFleet::driver_failed(const std::shared_ptr<Host>& host, Member& member, const InstanceStatus& status) {
   if (member.restart_timer != 0) return;  // known already: an adopted host tells all states again
-  const auto& policy = options_.restart;
   member.status = status;
   member.status.plugin = host->order.identity;
   member.last_failure = status.reason;
-  if (options_.clock->now() - member.started >= policy.healthy_after) {
-    member.failures = 0;
-    member.delay = std::chrono::milliseconds{0};
-  }
-  ++member.failures;
-  member.restarting = policy.give_up_after == 0 || member.failures < policy.give_up_after;
+  const auto pause = member.restarts.failed(options_.clock->now(), options_.restart);
+  member.restarting = pause.has_value();
   member.status.starts_again = member.restarting;
-  if (!member.restarting) {
+  if (!pause) {
     member.status.reason =
         fmt::format("{}; that was failure {} in a row, so it is left alone until it is started again", status.reason,
-                    member.failures);
+                    member.restarts.failures());
     on_status_(member.status);
     return;
   }
-  member.delay = next_delay(member.delay, policy);
-  member.status.reason = fmt::format("{}; it is started again in {} ms", status.reason, member.delay.count());
+  member.status.reason = fmt::format("{}; it is started again in {} ms", status.reason, pause->count());
   const auto start = [this, weak = std::weak_ptr<Host>(host), id = status.instance] {
     if (const auto alive = weak.lock()) start_driver_again(alive, id);
   };
-  member.restart_timer = loop_.start_timer(member.delay, std::chrono::microseconds{0}, start);
+  member.restart_timer = loop_.start_timer(*pause, std::chrono::microseconds{0}, start);
   on_status_(member.status);
 }
 
@@ -398,7 +388,7 @@ void HostFleet::start_driver_again(const std::shared_ptr<Host>& host, const Inst
   auto& member = members_.at(instance);  // leave_alone() stops the timer before a member goes
   member.restart_timer = 0;
   if (!host->link) return;  // start_again() creates it
-  member.started = options_.clock->now();
+  member.restarts.started(options_.clock->now());
   host->link->create(member.spec);
 }
 
@@ -513,7 +503,7 @@ void HostFleet::crashed(const std::shared_ptr<Host>& host, const HostEnd& end) {
 
 void HostFleet::start_again_later(const std::shared_ptr<Host>& host, const std::string& reason) {
   host->last_end = reason;
-  host->delay = next_delay(host->delay, options_.restart);
+  host->delay = processes::next_pause(host->delay, options_.restart);
   logger.error("the driver host of {}: {}; it is started again in {} ms", host->order.plugin, reason,
                host->delay.count());
   for (const auto& id : host->instances) {
@@ -535,7 +525,7 @@ void HostFleet::start_again(const std::shared_ptr<Host>& host) {
     auto& member = members_.at(id);
     if (is_left_alone(member) || member.restart_timer != 0) continue;
     if (!member.restarting) host->reviving.insert(id);
-    member.started = options_.clock->now();
+    member.restarts.started(options_.clock->now());
     host->link->create(member.spec);
   }
 }

@@ -13,20 +13,15 @@
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/placement.h>
 #include <iotcloud/gateway/host/event_loop.h>
+#include <iotcloud/processes/restarts.h>
 
 namespace iotcloud::gateway {
 
-/// When a crashed host is restarted. The pause before the restart doubles with each crash, and starts again from
-/// `first` after a host has run for `healthy_after`. After `give_up_after` crashes in a row the host's instances become
-/// `failed` until they are ordered to start. Crashes for which one instance is known to be at fault are counted for
-/// that instance, and only that one becomes `failed`. An instance whose driver threw is started again in its host by
-/// the same rules; meanwhile its state is `failed`, with the reason, and its status says that it starts again.
-struct RestartPolicy {
-  std::chrono::milliseconds first{500};
-  std::chrono::milliseconds longest{30000};
-  std::chrono::milliseconds healthy_after{60000};
-  int give_up_after = 8;  ///< 0: never
-};
+/// When a crashed host is restarted. After `give_up_after` crashes in a row the host's instances become `failed` until
+/// they are ordered to start. Crashes for which one instance is known to be at fault are counted for that instance, and
+/// only that one becomes `failed`. An instance whose driver threw is started again in its host by the same rules;
+/// meanwhile its state is `failed`, with the reason, and its status says that it starts again.
+using RestartPolicy = processes::RestartPolicy;
 
 /// All driver hosts of one gateway: one for each plugin, or for one instance with the property `isolation: instance`.
 /// The fleet starts a host for its first instance, ends it after its last one, and restarts a crashed host with its
@@ -69,12 +64,10 @@ class HostFleet {
     std::shared_ptr<Host> host;  ///< null: its plugin was refused
     InstanceStatus status;       ///< the last one reported
     bool removing = false;
-    config::Clock::Instant started;  ///< when it was last created in a host
-    int failures = 0;                ///< failures of its driver in a row
-    std::chrono::milliseconds delay{0};
-    HandlerId restart_timer = 0;  ///< 0: it does not wait for its restart
-    bool restarting = false;      ///< its driver failed, and it has not run since, but is to run again
-    std::string last_failure;     ///< why its driver failed last
+    processes::Restarts restarts;  ///< counts failures of its driver, from when it was last created in a host
+    HandlerId restart_timer = 0;   ///< 0: it does not wait for its restart
+    bool restarting = false;       ///< its driver failed, and it has not run since, but is to run again
+    std::string last_failure;      ///< why its driver failed last
   };
 
   /// A message on its way from one host to another.

@@ -9,6 +9,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/api/api_handler.h>
 #include <iotcloud/master/api/gateway_pages.h>
+#include <iotcloud/master/api/pool_pages.h>
 #include <iotcloud/master/api/wire.h>
 #include <iotcloud/master/gateways/plugin_uploads.h>
 #include <iotcloud/master/master.h>
@@ -41,11 +42,12 @@ std::string words(const TopologyRequest& request) {
 class ApiHandler final : public wire::TMasterAPIServiceIf {
  public:
   ApiHandler(Master& master, PluginUploads& uploads, const GatewayAccess& gateways, const WorkerAccess& workers,
-             GatewayAsks& asks, std::shared_ptr<rpc::CallerSession> session)
+             const PoolAccess& pools, GatewayAsks& asks, std::shared_ptr<rpc::CallerSession> session)
       : master_(master),
         uploads_(uploads),
         gateways_(gateways),
         workers_(workers),
+        pools_(pools),
         asks_(asks),
         session_(std::move(session)) {}
 
@@ -133,6 +135,12 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     });
   }
 
+  void listPools(std::vector<wire::TPool>& out) override {
+    read([&] {
+      for (const auto& pool : master_.pools()) discovery::fill_wire(pool, out.emplace_back());
+    });
+  }
+
   void getHistory(wire::TDriverHistory& out, const std::vector<std::string>& instances,
                   const std::vector<std::string>& gateways, std::int32_t most) override {
     read([&] {
@@ -149,6 +157,20 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
 
   void listPlugins(wire::TGatewayPlugins& out, const std::vector<std::string>& gateways) override {
     read([&] { discovery::fill_wire(read_plugins(master_, gateways_, asks_, gateway_ids(gateways)), out); });
+  }
+
+  void getTopologyHistory(std::vector<wire::TTopologyEvent>& out, const std::string& topology) override {
+    read([&] {
+      for (const auto& event : master_.history(discovery::TopologyName(topology)).events)
+        discovery::fill_wire(event, out.emplace_back());
+    });
+  }
+  void readWorkerLog(wire::TLogPart& out, const std::string& topology, std::int32_t place, const std::string& position,
+                     std::int32_t most_bytes) override {
+    read([&] {
+      discovery::fill_wire(
+          read_worker_log(master_, pools_, {discovery::TopologyName(topology), place}, position, most_bytes), out);
+    });
   }
 
   void readWorkerPage(std::string& out, const std::string& topology, const std::string& worker,
@@ -249,6 +271,11 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
     const auto receivers = gateway_ids(gateways);
     pass_on(out, words(offer, receivers), [&] { return uploads_.offer(offer, receivers); });
   }
+  void offerLibrary(wire::TUploadResponse& out, const wire::TPluginOffer& wanted) override {
+    const auto offer = discovery::as_own<PluginOffer>(wanted);
+    pass_on(out, fmt::format("{}, SHA-256 {}, to all pools", offer.plugin, offer.sha256),
+            [&] { return uploads_.offer_library(offer); });
+  }
   void sendPlugin(wire::TUploadResponse& out, const std::string& upload, std::int64_t offset,
                   const std::string& bytes) override {
     pass_on(out, upload, [&] { return uploads_.send(upload, offset, bytes); });
@@ -305,21 +332,24 @@ class ApiHandler final : public wire::TMasterAPIServiceIf {
   PluginUploads& uploads_;
   const GatewayAccess& gateways_;
   const WorkerAccess& workers_;
+  const PoolAccess& pools_;
   GatewayAsks& asks_;
   const std::shared_ptr<rpc::CallerSession> session_;
 };
 
 /// What all connections share.
 struct Shared {
-  Shared(Master& served, GatewayAccess access_to_gateways, WorkerAccess access_to_workers,
+  Shared(Master& served, GatewayAccess access_to_gateways, WorkerAccess access_to_workers, PoolAccess access_to_pools,
          const PluginUploads::Options& passed_on)
       : master(served),
         gateways(std::move(access_to_gateways)),
         workers(std::move(access_to_workers)),
-        uploads(served, gateways, passed_on) {}
+        pools(std::move(access_to_pools)),
+        uploads(served, gateways, pools, passed_on) {}
   Master& master;
   const GatewayAccess gateways;
   const WorkerAccess workers;
+  const PoolAccess pools;
   PluginUploads uploads;
   GatewayAsks asks;
   rpc::AccessOptions access;
@@ -328,7 +358,8 @@ struct Shared {
 }  // namespace
 
 rpc::ThriftService serve_api(Master& master, ApiAccess access) {
-  auto shared = std::make_shared<Shared>(master, std::move(access.gateways), std::move(access.workers), access.uploads);
+  auto shared = std::make_shared<Shared>(master, std::move(access.gateways), std::move(access.workers),
+                                         std::move(access.pools), access.uploads);
   shared->access.service = "api";
   shared->access.rules = api_rules();
   shared->access.tokens = std::move(access.tokens);
@@ -344,7 +375,7 @@ rpc::ThriftService serve_api(Master& master, ApiAccess access) {
   return [shared](const std::shared_ptr<rpc::ThriftPeer>& peer) {
     auto session = std::make_shared<rpc::CallerSession>(shared->access, peer);
     auto handler = std::make_shared<ApiHandler>(shared->master, shared->uploads, shared->gateways, shared->workers,
-                                                shared->asks, session);
+                                                shared->pools, shared->asks, session);
     return rpc::guarded(std::make_shared<wire::TMasterAPIServiceProcessor>(std::move(handler)), session);
   };
 }

@@ -21,6 +21,7 @@ struct ApiAccess {
   std::shared_ptr<security::AuditLog> audit;      ///< null: no audit log
   GatewayAccess gateways;
   WorkerAccess workers;
+  PoolAccess pools{};
   std::chrono::milliseconds wrong_token_pause{1'000};
   rpc::CallsByRole calls = rpc::usual_calls();     ///< how many calls each identity may make
   std::shared_ptr<rpc::CallLimits> token_tries{};  ///< rpc::AccessOptions; null: as usual

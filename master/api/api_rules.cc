@@ -20,6 +20,9 @@ const MethodRules& api_rules() {
         {"getStatus", {Role::viewer, RefusalForm::error}},
         {"listGateways", {Role::viewer, RefusalForm::error}},
         {"listDrivers", {Role::viewer, RefusalForm::error}},
+        {"getTopologyHistory", {Role::viewer, RefusalForm::error}},
+        {"readWorkerLog", {Role::viewer, RefusalForm::error}},
+        {"listPools", {Role::viewer, RefusalForm::error}},
         {"listTopologies", {Role::viewer, RefusalForm::error}},
         {"getHistory", {Role::viewer, RefusalForm::error}},
         {"readLog", {Role::viewer, RefusalForm::error}},
@@ -43,6 +46,7 @@ const MethodRules& api_rules() {
         {"unDeploySensor", {Role::admin, RefusalForm::response}},
         {"unDeployAllSensor", {Role::admin, RefusalForm::response}},
         {"offerPlugin", {Role::admin, RefusalForm::order}},
+        {"offerLibrary", {Role::admin, RefusalForm::order}},
         {"sendPlugin", {Role::admin, RefusalForm::order, false}},
         {"finishPlugin", {Role::admin, RefusalForm::order}},
         // any kind of order; api_handler.cc checks the role that the kind requires

@@ -1,8 +1,5 @@
 // describe, history, logs
-#include <chrono>
-#include <deque>
 #include <ostream>
-#include <sstream>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -10,6 +7,7 @@
 
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/driver_verbs.h>
+#include <iotcloud/master/cli/log_lines.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/master/listing/secret_properties.h>
@@ -23,9 +21,6 @@ using Json = nlohmann::ordered_json;
 using Rows = std::vector<std::vector<std::string>>;
 
 namespace {
-
-constexpr std::int32_t most_log_bytes = 128 * 1024;
-constexpr std::chrono::milliseconds follow_pause{500};
 
 /// The plugin that the instance runs, and which trusted key signed it, if any.
 std::string plugin_words(const DriverRecord& driver) {
@@ -144,30 +139,6 @@ class History final : public Verb {
   std::int32_t lines_ = 100;
 };
 
-/// The last `most` lines of the text that contain `word`.
-std::deque<std::string> last_lines(const std::string& text, const std::string& word, std::size_t most) {
-  std::deque<std::string> lines;
-  std::istringstream in(text);
-  for (std::string line; std::getline(in, line);) {
-    if (!word.empty() && line.find(word) == std::string::npos) continue;
-    lines.push_back(std::move(line));
-    if (lines.size() > most) lines.pop_front();
-  }
-  return lines;
-}
-
-/// Prints log lines so that more can follow: in JSON each line is a string, in YAML an item of a list.
-void print_lines(const std::deque<std::string>& lines, Format format, std::ostream& out) {
-  for (const auto& line : lines) {
-    if (format == Format::table) {
-      out << printable(line) << '\n';
-    } else {
-      out << (format == Format::yaml ? "- " : "") << discovery::to_text(Json(line)) << '\n';
-    }
-  }
-  out << std::flush;
-}
-
 class Logs final : public OfOne {
  public:
   Logs() : OfOne({"logs", "Show what a driver instance logs", "iotcloud logs 3f2a9c --follow", Role::viewer}) {}
@@ -184,21 +155,10 @@ class Logs final : public OfOne {
   int run(Call& call) override {
     const auto master = call.connect();
     const auto driver = find(*master);
-    const std::string word = whole_host_ ? "" : driver.instance.str();
-    auto part = master->read_log(driver.gateway, driver.instance, "", most_log_bytes);
-    const auto lines = last_lines(part.text, word, static_cast<std::size_t>(lines_));
-    if (!follow_ && call.format == Format::json) {
-      print_data(call.out, call.format, lines);
-      return exit_ok;
-    }
-    print_lines(lines, call.format, call.out);
-    // After a large part there is probably more to read, so it is read at once.
-    const auto rest = [&] { return part.text.size() < most_log_bytes / 2 ? follow_pause : follow_pause.zero(); };
-    while (follow_ && pause(rest())) {
-      part = master->read_log(driver.gateway, driver.instance, part.position, most_log_bytes);
-      print_lines(last_lines(part.text, word, most_log_bytes), call.format, call.out);
-    }
-    return exit_ok;
+    const LogChoice choice{whole_host_ ? "" : driver.instance.str(), lines_, follow_};
+    return show_log(call, choice, [&](const std::string& position) {
+      return master->read_log(driver.gateway, driver.instance, position, most_log_bytes);
+    });
   }
 
  private:

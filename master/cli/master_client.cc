@@ -289,6 +289,10 @@ std::vector<discovery::TopologyStatus> MasterClient::topologies() {
   return impl_->list<discovery::TopologyStatus>(&Client::listTopologies);
 }
 
+std::vector<discovery::PoolRecord> MasterClient::pools() {
+  return impl_->list<discovery::PoolRecord>(&Client::listPools);
+}
+
 std::vector<ListedOrder> MasterClient::orders() {
   return impl_->list<ListedOrder>(&Client::listOrders);
 }
@@ -321,6 +325,18 @@ discovery::ChannelLook MasterClient::hand_message(const discovery::GatewayId& ga
 
 GatewayPlugins MasterClient::plugins(const std::vector<discovery::GatewayId>& gateways) {
   return as_own<GatewayPlugins>(impl_->ask(&Client::listPlugins, texts(gateways)));
+}
+
+std::vector<discovery::TopologyEvent> MasterClient::topology_history(const discovery::TopologyName& topology) {
+  std::vector<discovery::TopologyEvent> events;
+  for (auto& event : impl_->ask(&Client::getTopologyHistory, topology.str()))
+    discovery::fill_own(event, events.emplace_back());
+  return events;
+}
+
+LogPart MasterClient::read_worker_log(const discovery::PlaceId& place, const std::string& position,
+                                      std::int32_t most_bytes) {
+  return as_own<LogPart>(impl_->ask(&Client::readWorkerLog, place.topology.str(), place.number, position, most_bytes));
 }
 
 std::string MasterClient::worker_page(const discovery::TopologyName& topology, const std::string& worker,
@@ -366,6 +382,9 @@ TopologyResult MasterClient::order(const TopologyRequest& request) {
 }
 UploadResult MasterClient::offer_plugin(const PluginOffer& offer, const std::vector<discovery::GatewayId>& gateways) {
   return impl_->order(Impl::answer_limit(read_limit), offer, &Client::offerPlugin, texts(gateways));
+}
+UploadResult MasterClient::offer_library(const PluginOffer& offer) {
+  return impl_->order(Impl::answer_limit(read_limit), offer, &Client::offerLibrary);
 }
 UploadResult MasterClient::send_plugin(const std::string& upload, std::int64_t offset, const std::string& bytes) {
   return from_wire(impl_->ask(&Client::sendPlugin, upload, offset, bytes));

@@ -47,6 +47,7 @@ class MasterClient {
   std::vector<discovery::GatewayStatus> gateways();
   std::vector<discovery::DriverRecord> drivers();
   std::vector<discovery::TopologyStatus> topologies();
+  std::vector<discovery::PoolRecord> pools();
   std::vector<ListedOrder> orders();
   /// Everything that is ordered, as JSON (orders/backup_file.h).
   std::string backup();
@@ -62,6 +63,10 @@ class MasterClient {
   discovery::ChannelLook hand_message(const discovery::GatewayId& gateway, const discovery::HandedMessage& message);
   /// \param gateways empty: all
   GatewayPlugins plugins(const std::vector<discovery::GatewayId>& gateways);
+
+  /// What was ordered for a submitted topology, the oldest first; empty: it is none.
+  std::vector<discovery::TopologyEvent> topology_history(const discovery::TopologyName& topology);
+  LogPart read_worker_log(const discovery::PlaceId& place, const std::string& position, std::int32_t most_bytes);
 
   /// A page of a topology's worker, read by a master. \param target "/topology" or "/tap?..."
   std::string worker_page(const discovery::TopologyName& topology, const std::string& worker,
@@ -89,6 +94,8 @@ class MasterClient {
   /// A plugin is offered to the master that leads, and sent to the one that took the offer.
   /// \throws Unreachable, RequestFailed
   UploadResult offer_plugin(const PluginOffer& offer, const std::vector<discovery::GatewayId>& gateways);
+  /// The same for a component library, to all pools of workers.
+  UploadResult offer_library(const PluginOffer& offer);
   UploadResult send_plugin(const std::string& upload, std::int64_t offset, const std::string& bytes);
   UploadResult finish_plugin(const std::string& upload);
 

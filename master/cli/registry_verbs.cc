@@ -57,13 +57,19 @@ class Adopt final : public Verb {
   bool all_ = false;
 };
 
+/// "echo.so (SHA-256 0123456789ab..., of submitted topologies)"
+std::string words_of(const discovery::SentLibrary& library) {
+  return fmt::format("{} (SHA-256 {}..., of submitted topologies)", library.file,
+                     security::short_sha256(library.sha256));
+}
+
 class Export final : public Verb {
  public:
   Export()
       : Verb({"export",
               "Write a backup of everything that is ordered, secrets included, as JSON: the deployments of all "
-              "gateways, which of them drain, and the orders to topologies. Plugins that were sent are not in it; the "
-              "command names those that are needed too",
+              "gateways, which of them drain, the orders to topologies and the topologies that pools run. Plugins and "
+              "libraries that were sent are not in it; the command names those that are needed too",
               "iotcloud registry export backup.json", security::Role::admin, false}) {}
 
   void declare(CLI::App& options) override {
@@ -84,6 +90,9 @@ class Export final : public Verb {
     }
     for (const auto& plugin : backup.missing_plugins) {
       call.err << fmt::format("not in it, keep the file: {}\n", printable(words(plugin)));
+    }
+    for (const auto& library : sent_libraries(backup)) {
+      call.err << fmt::format("not in it, keep the file: {}\n", printable(words_of(library)));
     }
     return exit_ok;
   }
@@ -109,6 +118,12 @@ class Import final : public Verb {
                     "a plugin that had been sent: it is sent to the gateways whose orders name it, if they do not have "
                     "it; may be given several times")
         ->type_name("FILE");
+    options
+        .add_option(
+            "--library", libraries_,
+            "a component library of a submitted topology: it is sent to all pools of workers that do not have it; "
+            "may be given several times")
+        ->type_name("FILE");
   }
   int run(Call& call) override {
     const Backup backup = decode_backup(bytes_of(file_), file_);
@@ -123,6 +138,7 @@ class Import final : public Verb {
           "iotcloud registry import {} --plugin FILE\n",
           printable(words(plugin)), printable(file_));
     }
+    send_libraries(backup, *master, call, all);
     for (const auto& piece : pieces_of(backup, piece_bytes)) {
       const std::string order =
           discovery::to_text(discovery::to_json<nlohmann::ordered_json>(ImportRequest{piece, replace_}));
@@ -185,9 +201,30 @@ class Import final : public Verb {
     all.outcomes.insert(all.outcomes.end(), sent.failures.begin(), sent.failures.end());
   }
 
+  /// Sends the given libraries to the pools, and names those that are missing.
+  void send_libraries(const Backup& backup, MasterClient& master, Call& call, OrderResult& all) const {
+    auto missing = sent_libraries(backup);
+    for (const auto& path : libraries_) {
+      const auto sha256 = security::sha256_hex(plugin_bytes(path));
+      if (std::erase_if(missing, [&](const auto& one) { return one.sha256 == sha256; }) == 0)
+        throw std::invalid_argument(
+            fmt::format("{}: no topology of {} has a library with these bytes (SHA-256 {})", path, file_, sha256));
+      auto sent = send_library(path, master, call.progress ? &call.err : nullptr);
+      for (auto& failure : sent.failures) failure.reason = fmt::format("{}: {}", sent.file, failure.reason);
+      all.outcomes.insert(all.outcomes.end(), sent.failures.begin(), sent.failures.end());
+    }
+    for (const auto& library : missing) {
+      call.err << fmt::format(
+          "{} was sent, and is not in the backup: a pool that lost it too gets no worker of its topology until it is "
+          "sent: "
+          "iotcloud registry import {} --library FILE\n",
+          printable(words_of(library)), printable(file_));
+    }
+  }
+
   std::string file_;
   bool replace_ = false;
-  std::vector<std::string> plugins_;
+  std::vector<std::string> plugins_, libraries_;
 };
 
 /// Adds an identity to the fleet's users, and prints its password.

@@ -20,10 +20,11 @@ using config::Clock;
 
 namespace {
 
-/// One gateway that receives a plugin.
+/// One gateway that receives a plugin, or pool that receives a library.
 struct Receiver {
   UploadTarget target;
   SiteAddress site;
+  bool is_pool = false;
   std::string upload;  ///< the upload's id at the gateway; empty: the gateway gets no (more) pieces
 };
 
@@ -56,6 +57,10 @@ void with_each(std::vector<Receiver>& receivers, const std::function<void(Receiv
   }
 }
 
+discovery::PoolId pool_of(const Receiver& receiver) {
+  return discovery::PoolId(receiver.target.gateway.str());
+}
+
 UploadResult refused(OrderRefusal refusal, std::string text) {
   UploadResult result;
   result.refusal.refusal = refusal;
@@ -86,9 +91,10 @@ std::string UploadResult::summary() const {
 }
 
 struct PluginUploads::Impl {
-  Impl(const Master& of, GatewayAccess shown, const Options& given)
+  Impl(const Master& of, GatewayAccess shown, PoolAccess shown_to_pools, const Options& given)
       : master(of),
         access(std::move(shown)),
+        pool_access(std::move(shown_to_pools)),
         options(given),
         clock(given.clock != nullptr ? *given.clock : config::system_clock()) {}
 
@@ -98,15 +104,20 @@ struct PluginUploads::Impl {
                                            std::vector<Receiver>& receivers);
 
   const Master& master;
+  UploadResult offer(const PluginOffer& offer,
+                     const std::function<std::optional<UploadResult>(std::vector<Receiver>&)>& find_receivers);
+  std::optional<UploadResult> pools(std::vector<Receiver>& receivers);
+
   const GatewayAccess access;
+  const PoolAccess pool_access;
   const Options options;
   const Clock& clock;
   config::Mutex mutex;
   std::map<std::string, KnownUpload> uploads IOTCLOUD_GUARDED_BY(mutex);
 };
 
-PluginUploads::PluginUploads(const Master& master, GatewayAccess access, const Options& options)
-    : impl_(std::make_unique<Impl>(master, std::move(access), options)) {}
+PluginUploads::PluginUploads(const Master& master, GatewayAccess access, PoolAccess pools, const Options& options)
+    : impl_(std::make_unique<Impl>(master, std::move(access), std::move(pools), options)) {}
 
 PluginUploads::~PluginUploads() = default;
 
@@ -136,25 +147,54 @@ std::optional<UploadResult> PluginUploads::Impl::receivers_of(const std::vector<
   return std::nullopt;
 }
 
-UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<discovery::GatewayId>& gateways) try {
-  auto& self = *impl_;
-  if (auto refusal = self.master.refusal()) return {*refusal, "", {}};
+/// Fills `receivers` with all pools, as receivers_of() does.
+std::optional<UploadResult> PluginUploads::Impl::pools(std::vector<Receiver>& receivers) {
+  for (const auto& pool : master.pools()) {
+    Receiver receiver;
+    receiver.target.gateway = discovery::GatewayId(pool.id.str());
+    receiver.is_pool = true;
+    try {
+      receiver.site = address_of(pool, pool_access);
+      receiver.upload = "wanted";
+    } catch (const config::Error& e) {
+      receiver.target.problem = fmt::format("the library cannot be sent to it: {}", e.what());
+    }
+    receivers.push_back(std::move(receiver));
+  }
+  if (receivers.empty())
+    return refused(OrderRefusal::bad_request,
+                   "no pool of workers runs; start one on a machine: iotcloud-topology --pool --config pool.yaml");
+  return std::nullopt;
+}
+
+UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<discovery::GatewayId>& gateways) {
+  return impl_->offer(offer, [&](auto& receivers) { return impl_->receivers_of(gateways, receivers); });
+}
+
+UploadResult PluginUploads::offer_library(const PluginOffer& offer) {
+  return impl_->offer(offer, [&](auto& receivers) { return impl_->pools(receivers); });
+}
+
+UploadResult PluginUploads::Impl::offer(
+    const PluginOffer& offer,
+    const std::function<std::optional<UploadResult>(std::vector<Receiver>&)>& find_receivers) try {
+  if (auto refusal = master.refusal()) return {*refusal, "", {}};
   {
-    const config::MutexLock lock(self.mutex);
-    std::erase_if(self.uploads,
-                  [&](const auto& one) { return self.clock.now() - one.second.last >= self.options.idle_limit; });
-    if (static_cast<int>(self.uploads.size()) >= self.options.most)
-      return refused(
-          OrderRefusal::bad_request,
-          fmt::format("this master passes {} plugins on at a time; try again in a moment", self.options.most));
+    const config::MutexLock lock(mutex);
+    std::erase_if(uploads, [&](const auto& one) { return clock.now() - one.second.last >= options.idle_limit; });
+    if (static_cast<int>(uploads.size()) >= options.most)
+      return refused(OrderRefusal::bad_request,
+                     fmt::format("this master passes {} plugins on at a time; try again in a moment", options.most));
   }
   std::vector<Receiver> receivers;
-  if (auto refusal = self.receivers_of(gateways, receivers)) return *refusal;
+  if (auto refusal = find_receivers(receivers)) return *refusal;
   with_each(receivers, [&](Receiver& receiver) {
-    receiver.upload = site_offer_plugin(receiver.site, receiver.target.gateway, offer, self.options.answer_limit);
+    receiver.upload = receiver.is_pool
+                          ? pool_offer_library(receiver.site, pool_of(receiver), offer, options.answer_limit)
+                          : site_offer_plugin(receiver.site, receiver.target.gateway, offer, options.answer_limit);
     receiver.target.has = receiver.upload.empty();
   });
-  const std::string id = self.options.new_upload_id ? self.options.new_upload_id() : discovery::new_instance_id().str();
+  const std::string id = options.new_upload_id ? options.new_upload_id() : discovery::new_instance_id().str();
   auto result = answer(id, receivers);
   if (result.upload.empty()) return result;
   auto upload = std::make_shared<Upload>();
@@ -162,8 +202,8 @@ UploadResult PluginUploads::offer(const PluginOffer& offer, const std::vector<di
     const config::MutexLock lock(upload->mutex);
     upload->receivers = std::move(receivers);
   }
-  const config::MutexLock lock(self.mutex);
-  self.uploads[id] = {std::move(upload), self.clock.now()};
+  const config::MutexLock lock(mutex);
+  uploads[id] = {std::move(upload), clock.now()};
   return result;
 } catch (const config::Error& e) {
   return refused(OrderRefusal::registry_away, fmt::format("the registry did not answer: {}", e.what()));
@@ -197,14 +237,23 @@ UploadResult PluginUploads::Impl::pass_on(const std::string& id, const std::func
 
 UploadResult PluginUploads::send(const std::string& id, std::int64_t offset, const std::string& bytes) {
   return impl_->pass_on(id, [&](Receiver& receiver) {
-    site_send_plugin(receiver.site, receiver.target.gateway, receiver.upload, offset, bytes,
-                     impl_->options.answer_limit);
+    const auto limit = impl_->options.answer_limit;
+    if (receiver.is_pool) {
+      pool_send_library(receiver.site, pool_of(receiver), receiver.upload, offset, bytes, limit);
+    } else {
+      site_send_plugin(receiver.site, receiver.target.gateway, receiver.upload, offset, bytes, limit);
+    }
   });
 }
 
 UploadResult PluginUploads::finish(const std::string& id) {
   return impl_->pass_on(id, [&](Receiver& receiver) {
-    site_finish_plugin(receiver.site, receiver.target.gateway, receiver.upload, impl_->options.answer_limit);
+    const auto limit = impl_->options.answer_limit;
+    if (receiver.is_pool) {
+      pool_finish_library(receiver.site, pool_of(receiver), receiver.upload, limit);
+    } else {
+      site_finish_plugin(receiver.site, receiver.target.gateway, receiver.upload, limit);
+    }
     receiver.target.has = true;
     receiver.upload.clear();
   });

@@ -36,6 +36,17 @@ std::vector<SentPluginBackup> sent_plugins(const std::vector<GatewayBackup>& gat
   return sent;
 }
 
+std::vector<discovery::SentLibrary> sent_libraries(const Backup& backup) {
+  std::vector<discovery::SentLibrary> sent;
+  for (const auto& submission : backup.submissions) {
+    for (const auto& library : submission.version.libraries) {
+      const auto is_this = [&](const auto& one) { return one.sha256 == library.sha256; };
+      if (std::none_of(sent.begin(), sent.end(), is_this)) sent.push_back(library);
+    }
+  }
+  return sent;
+}
+
 std::string words(const SentPluginBackup& plugin) {
   return fmt::format("{} (SHA-256 {}..., gateways {})", plugin.plugin, plugin.sha256.substr(0, shown_digits),
                      fmt::join(plugin.gateways, ", "));
@@ -44,8 +55,10 @@ std::string words(const SentPluginBackup& plugin) {
 std::string words(const Backup& backup) {
   std::size_t orders = 0;
   for (const auto& gateway : backup.gateways) orders += gateway.orders.size();
-  return fmt::format("{} orders of {} gateways, {} of topologies", orders, backup.gateways.size(),
-                     backup.topologies.size());
+  const std::string submitted =
+      backup.submissions.empty() ? "" : fmt::format(", {} submitted topologies", backup.submissions.size());
+  return fmt::format("{} orders of {} gateways, {} of topologies{}", orders, backup.gateways.size(),
+                     backup.topologies.size(), submitted);
 }
 
 std::string encode(const Backup& backup) {
@@ -62,6 +75,7 @@ void check(const Backup& backup, const std::string& path) {
     for (const auto& order : gateway.orders) check_name(path, "id of an instance", order.instance);
   }
   for (const auto& topology : backup.topologies) check_name(path, "name of a topology", topology.topology);
+  for (const auto& submission : backup.submissions) check_name(path, "name of a topology", submission.name);
 }
 
 Backup decode_backup(const std::string& text, const std::string& path) {
@@ -78,7 +92,7 @@ std::vector<Backup> pieces_of(const Backup& backup, std::size_t bytes) {
       room -= size;
       return false;
     }
-    pieces.push_back({backup.format, backup.made_ms, {}, {}, {}});
+    pieces.push_back({backup.format, backup.made_ms, {}, {}, {}, {}});
     room = bytes - std::min(bytes, size);
     return true;
   };
@@ -93,6 +107,10 @@ std::vector<Backup> pieces_of(const Backup& backup, std::size_t bytes) {
   for (const auto& topology : backup.topologies) {
     make_room(encode(topology.order).size());
     pieces.back().topologies.push_back(topology);
+  }
+  for (const auto& submission : backup.submissions) {
+    make_room(encode(submission).size());
+    pieces.back().submissions.push_back(submission);
   }
   return pieces;
 }

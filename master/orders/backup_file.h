@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <iotcloud/discovery/records.h>
+#include <iotcloud/discovery/submissions.h>
 
 namespace iotcloud::master {
 
@@ -48,11 +49,12 @@ struct Backup {
   std::int64_t made_ms = 0;  ///< Unix time
   std::vector<GatewayBackup> gateways;
   std::vector<TopologyBackup> topologies;
-  std::vector<SentPluginBackup> missing_plugins;  ///< needed too: the backup has their names, and not their bytes
+  std::vector<SentPluginBackup> missing_plugins;   ///< needed too: the backup has their names, and not their bytes
+  std::vector<discovery::Submission> submissions;  ///< topologies that pools run; their libraries are not in it either
   static constexpr const char* what = "a backup of the registry";
-  static constexpr auto fields =
-      std::tuple{IOTCLOUD_FIELD(format, required), IOTCLOUD_FIELD(made_ms, usual), IOTCLOUD_FIELD(gateways, usual),
-                 IOTCLOUD_FIELD(topologies, usual), IOTCLOUD_FIELD(missing_plugins, rare)};
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(format, required),      IOTCLOUD_FIELD(made_ms, usual),
+                                            IOTCLOUD_FIELD(gateways, usual),       IOTCLOUD_FIELD(topologies, usual),
+                                            IOTCLOUD_FIELD(missing_plugins, rare), IOTCLOUD_FIELD(submissions, rare)};
   friend bool operator==(const Backup&, const Backup&) = default;
 };
 
@@ -65,6 +67,8 @@ struct ImportRequest : Backup {
 
 /// The plugins that were sent and that the orders name, by name and content.
 std::vector<SentPluginBackup> sent_plugins(const std::vector<GatewayBackup>& gateways);
+/// The component libraries that the submitted topologies name, each once.
+std::vector<discovery::SentLibrary> sent_libraries(const Backup& backup);
 /// "turtle.so (SHA-256 0123456789ab..., gateways lab1, lab2)"
 std::string words(const SentPluginBackup& plugin);
 /// "3 orders of 2 gateways, 1 of topologies"

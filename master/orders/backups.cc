@@ -49,6 +49,9 @@ Backup Backups::make() const {
     auto order = discovery::decode_topology_order(node->data, path);
     if (!order.kill) backup.topologies.push_back({topology, std::move(order)});
   }
+  for (auto& [name, standing] : discovery::list_submissions(registry, paths)) {
+    if (!standing.submission.killed) backup.submissions.push_back(std::move(standing.submission));
+  }
   return backup;
 }
 
@@ -89,6 +92,13 @@ OrderResult Backups::import_all(const ImportRequest& request) {
         InstanceOutcome{{}, discovery::InstanceId("topologies/" + topology.topology.str()), OrderOutcome::unknown, ""});
     OrderDesk::set_outcome(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
       return place(topology, request.replace, lead);
+    }));
+  }
+  for (const auto& submission : request.submissions) {
+    auto& outcome = result.outcomes.emplace_back(
+        InstanceOutcome{{}, discovery::InstanceId("submitted/" + submission.name.str()), OrderOutcome::unknown, ""});
+    OrderDesk::set_outcome(outcome, desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
+      return place(submission, request.replace, lead);
     }));
   }
   desk_.tell(result, "import");
@@ -143,6 +153,31 @@ ReasonedOutcome Backups::place(const TopologyBackup& topology, bool replace, con
   order.given_ms = std::max({config::system_clock().wall_ms(), node ? order.given_ms : 0, desk_.book.last_given(path)});
   order.kill.reset();
   desk_.book.put_topology(path, node, order, lead);
+  return {OrderOutcome::done, node ? "it took another order's place" : ""};
+}
+
+/// What was submitted runs again as it was ordered last: an update that was under way is over.
+ReasonedOutcome Backups::place(discovery::Submission submission, bool replace, const discovery::Lead& lead) {
+  const auto path = desk_.options.paths.submission(submission.name);
+  const auto known = desk_.book.last_given(path);
+  const auto node = desk_.registry.get(path);
+  std::int64_t given_before = known;
+  if (node) {
+    const auto there = discovery::decode_submission(node->data, path);
+    const bool same = there.version == submission.version && there.workers == submission.workers && !there.killed;
+    if (same && !(replace && desk_.book.seals())) return unchanged;
+    if (!there.killed && !replace) return another;
+    if (desk_.book.is_ours(path, node->data)) {
+      submission.last_number = std::max(submission.last_number, there.last_number);
+      given_before = std::max(given_before, there.given_ms);
+    }
+  }
+  // Under a number of its own, so that no pool takes it for what it had under that one.
+  submission.version.number = ++submission.last_number;
+  submission.pending = 0;
+  submission.epoch = lead.epoch;
+  submission.given_ms = std::max(config::system_clock().wall_ms(), given_before + 1);
+  desk_.book.put_submission(path, node, submission, lead);
   return {OrderOutcome::done, node ? "it took another order's place" : ""};
 }
 

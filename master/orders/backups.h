@@ -22,6 +22,7 @@ class Backups {
   ReasonedOutcome place(const discovery::GatewayId& gateway, discovery::OrderRecord order, bool replace,
                         const discovery::Lead& lead);
   ReasonedOutcome place(const TopologyBackup& topology, bool replace, const discovery::Lead& lead);
+  ReasonedOutcome place(discovery::Submission submission, bool replace, const discovery::Lead& lead);
 
   OrderDesk& desk_;
 };

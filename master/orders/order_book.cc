@@ -169,15 +169,25 @@ void OrderBook::create(const GatewayId& gateway, OrderRecord order, const Lead& 
   note_given(path, order.given_ms);
 }
 
-void OrderBook::put_topology(const std::string& path, const std::optional<discovery::Node>& node,
-                             const discovery::TopologyOrder& order, const Lead& lead) {
-  const std::string bytes = sealed(path, encode(order));
+void OrderBook::put_signed(const std::string& path, const std::optional<discovery::Node>& node,
+                           const std::string& order, std::int64_t given_ms, const Lead& lead) {
+  const std::string bytes = sealed(path, order);
   if (node) {
     registry_.set(path, bytes, node->version, lead.fence);
   } else {
     registry_.create(path, bytes, true, lead.fence);
   }
-  note_given(path, order.given_ms);
+  note_given(path, given_ms);
+}
+
+void OrderBook::put_topology(const std::string& path, const std::optional<discovery::Node>& node,
+                             const discovery::TopologyOrder& order, const Lead& lead) {
+  put_signed(path, node, encode(order), order.given_ms, lead);
+}
+
+void OrderBook::put_submission(const std::string& path, const std::optional<discovery::Node>& node,
+                               const discovery::Submission& submission, const Lead& lead) {
+  put_signed(path, node, encode(submission), submission.given_ms, lead);
 }
 
 /// Says with this master's signature that the order is removed, for gateways that follow signed orders only.

@@ -9,6 +9,7 @@
 
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/submissions.h>
 #include <iotcloud/master/orders/leadership.h>
 
 namespace iotcloud::master {
@@ -97,9 +98,14 @@ class OrderBook {
   /// Writes a topology's order. \param node what stood there when the order was made; nullopt: nothing
   void put_topology(const std::string& path, const std::optional<discovery::Node>& node,
                     const discovery::TopologyOrder& order, const discovery::Lead& lead);
+  /// Writes what is submitted for a topology. \param node what stood there when it was made; nullopt: nothing
+  void put_submission(const std::string& path, const std::optional<discovery::Node>& node,
+                      const discovery::Submission& submission, const discovery::Lead& lead);
   void forget_given(const discovery::GatewayId& gateway) { given_.forget(paths_.orders(gateway)); }
 
  private:
+  void put_signed(const std::string& path, const std::optional<discovery::Node>& node, const std::string& order,
+                  std::int64_t given_ms, const discovery::Lead& lead);
   /// A master that does not sign asks nobody when an order was given, and remembers nothing.
   void note_given(const std::string& path, std::int64_t given_ms) {
     if (seals()) given_.note(path, given_ms);

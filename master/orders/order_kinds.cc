@@ -8,7 +8,7 @@ const std::vector<OrderKind>& order_kinds() {
   static const std::vector<OrderKind> all = [] {
     std::vector<OrderKind> kinds;
     for (const auto& of_service : {deployment_orders(), change_orders(), draining_orders(), adoption_orders(),
-                                   forgetting_orders(), backup_orders(), update_orders()})
+                                   forgetting_orders(), backup_orders(), update_orders(), submission_orders()})
       kinds.insert(kinds.end(), of_service.begin(), of_service.end());
     return kinds;
   }();

@@ -20,7 +20,7 @@ struct GivenOrder {
 /// Called with the order in words before it is given; if it throws, the order is not given.
 using BeforeOrder = std::function<void(const std::string& what)>;
 
-/// One kind of order to driver instances.
+/// One kind of order to driver instances, or one that submits topologies.
 struct OrderKind {
   /// The name by which giveOrder takes it; if it has a method of its own in master.thrift, the name of that.
   std::string name;
@@ -43,5 +43,6 @@ std::vector<OrderKind> adoption_orders();
 std::vector<OrderKind> forgetting_orders();
 std::vector<OrderKind> backup_orders();
 std::vector<OrderKind> update_orders();
+std::vector<OrderKind> submission_orders();
 
 }  // namespace iotcloud::master

@@ -8,11 +8,12 @@
 #include <iotcloud/master/orders/draining.h>
 #include <iotcloud/master/orders/forgetting.h>
 #include <iotcloud/master/orders/instance_changes.h>
+#include <iotcloud/master/orders/submissions.h>
 #include <iotcloud/master/orders/updates.h>
 
 namespace iotcloud::master {
 
-/// The services that take orders to driver instances.
+/// The services that take orders to driver instances, and those that submit topologies.
 struct OrderServices {
   OrderServices(discovery::Registry& registry, MasterOptions options) : desk(registry, std::move(options)) {}
 
@@ -24,6 +25,7 @@ struct OrderServices {
   Forgetting forgetting{desk};
   Backups backups{desk};
   Updates updates{desk};
+  Submissions submissions{desk};
 };
 
 }  // namespace iotcloud::master

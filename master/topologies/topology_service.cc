@@ -92,6 +92,7 @@ std::optional<TopologyResult> TopologyService::refuse_unknown_topology(const dis
     const auto record = desk_.registry.get(desk_.options.paths.topology(name));
     if (record && (!record->data.empty() || desk_.registry.get(desk_.options.paths.topology_order(name))))
       return std::nullopt;
+    if (record && desk_.registry.get(desk_.options.paths.submission(name))) return std::nullopt;
   }
   std::vector<discovery::TopologyName> known;
   for (const auto& topology : discovery::list_topologies(desk_.registry, desk_.options.paths))
@@ -177,8 +178,10 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
   const auto lead = desk_.leadership.lead();
   if (!lead) return refuse_topology(OrderRefusal::not_leading, lost_lead_text);
   if (auto refusal = refuse_unknown_topology(request.topology)) return *refusal;
-  const auto workers = discovery::list_workers(desk_.registry, desk_.options.paths, request.topology);
   const bool kill = request.change == TopologyChange::kill;
+  // From now on the pools start no worker of it, and none again.
+  const bool submitted = kill && submissions_.mark_killed(request.topology, request.drain, *lead);
+  const auto workers = discovery::list_workers(desk_.registry, desk_.options.paths, request.topology);
   if (request.change == TopologyChange::rebalance) {
     if (workers.empty())
       return refuse_topology(OrderRefusal::bad_request,
@@ -190,8 +193,11 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
   }
   TopologyResult result;
   if (kill && workers.empty()) {
+    if (submitted) await_pools(request.topology, result);
     discovery::remove_topology(desk_.registry, desk_.options.paths, request.topology, lead->fence);
-    result.text = "no worker ran; what was ordered for it is forgotten";
+    result.text +=
+        (result.text.empty() ? "" : "; ") + std::string("no worker ran; what was ordered for it is forgotten");
+    if (submitted) submissions_.remember(request.topology, "kill", result.text);
     return result;
   }
   const milliseconds wait = desk_.limit(
@@ -212,7 +218,9 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
     const auto& outcome = outcomes.at(worker.name);
     result.outcomes.push_back({worker.name, worker.host, outcome.outcome, outcome.reason});
   }
+  if (submitted) await_pools(request.topology, result);
   if (kill) clear_killed(request.topology, *lead, result);
+  if (submitted) submissions_.remember(request.topology, "kill", result.summary());
   for (const auto& outcome : result.outcomes)
     config::process_metrics()
         .counter("iotcloud_master_topology_orders_total", "Orders to topologies by what became of them in each worker",
@@ -220,6 +228,11 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
         .add();
   logger.info("topology {}: {}: {}", request.topology, to_string(request.change), result.summary());
   return result;
+}
+
+/// Waits until the pools have given up the places of a killed topology.
+void TopologyService::await_pools(const discovery::TopologyName& topology, TopologyResult& result) {
+  if (!submissions_.await_end(topology, end_margin)) result.text = "a pool is still ending a worker of it";
 }
 
 /// Removes the order of a killed topology when all workers that were to end are gone; otherwise the last of them

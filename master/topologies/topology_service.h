@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <iotcloud/master/orders/order_desk.h>
+#include <iotcloud/master/orders/submissions.h>
 #include <iotcloud/master/topologies/topology_orders.h>
 
 namespace iotcloud::master {
@@ -13,7 +14,7 @@ namespace iotcloud::master {
 /// Orders to topologies. Thread safe.
 class TopologyService {
  public:
-  explicit TopologyService(OrderDesk& desk) : desk_(desk) {}
+  TopologyService(OrderDesk& desk, Submissions& submissions) : desk_(desk), submissions_(submissions) {}
   /// Does not throw.
   TopologyResult order(const TopologyRequest& request);
 
@@ -31,9 +32,11 @@ class TopologyService {
                              std::chrono::milliseconds wait) const;
   ChangedOrder write_order(const TopologyRequest& request, const Workers& workers, const discovery::Lead& lead,
                            std::chrono::milliseconds wait);
+  void await_pools(const discovery::TopologyName& topology, TopologyResult& result);
   void clear_killed(const discovery::TopologyName& topology, const discovery::Lead& lead, TopologyResult& result);
 
   OrderDesk& desk_;
+  Submissions& submissions_;
 };
 
 }  // namespace iotcloud::master

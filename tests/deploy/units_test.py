@@ -34,7 +34,8 @@ class Units(unittest.TestCase):
 
     def test_there_is_one_for_each_daemon(self):
         self.assertEqual([unit.name for unit in self.units],
-                         ["iotcloud-gateway.service", "iotcloud-host@follower.service", "iotcloud-master.service", "iotcloud-registry-tunnel.service",
+                         ["iotcloud-gateway.service", "iotcloud-host@follower.service", "iotcloud-master.service", "iotcloud-pool.service",
+                          "iotcloud-registry-tunnel.service",
                           "iotcloud-robot.service", "iotcloud-topology@follower.service"])
 
     def test_systemd_understands_all_that_they_say(self):
@@ -49,9 +50,11 @@ class Units(unittest.TestCase):
                 for key in ("After", "Wants"):
                     self.assertIn(f"{key}=network-online.target iotcloud-registry-tunnel.service", lines, unit.name)
 
-    def test_hosts_outlive_a_gateway_that_dies(self):
-        gateway = self.units[0].read_text().splitlines()
-        self.assertEqual([line for line in gateway if line.startswith("KillMode=")], ["KillMode=process"])
+    def test_hosts_and_workers_outlive_a_gateway_or_pool_that_dies(self):
+        for unit in self.units:
+            if unit.name in ("iotcloud-gateway.service", "iotcloud-pool.service"):
+                lines = unit.read_text().splitlines()
+                self.assertEqual([line for line in lines if line.startswith("KillMode=")], ["KillMode=process"], unit.name)
 
     def test_users_that_they_name_are_made(self):
         made = {line.split()[1] for line in (UNITS / "iotcloud.sysusers").read_text().splitlines() if line.startswith(("u ", "g "))}

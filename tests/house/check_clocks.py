@@ -38,6 +38,7 @@ STAMPS_OF_OTHERS = {
     "topology/windows/windowed_bolt.cc": "event times that are time stamps, by the steady clock from the first look on",
     "topology/worker/control.cc": "an order says until when its master waits, whichever process reads it",
     "tests/gateway/signed_orders_test.cc": "such orders",
+    "tests/topology/pool/pool_test.cc": "such orders",
     "tests/topology/worker/worker_control_test.cc": "such an order",
     "tests/topology/worker/worker_test.cc": "such a message",
 }

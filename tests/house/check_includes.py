@@ -20,7 +20,8 @@ ROOMS = {
     "drivers": ["brokers"],  # message.h only, see below
     "processes": ["config", "security"],
     "gateway": ["config", "security", "rpc", "brokers", "discovery", "drivers", "processes"],
-    "master": ["config", "security", "rpc", "discovery", "gateway"],  # of the gateway: what Thrift generates, see below
+    # of gateway and topology: what Thrift generates, see below
+    "master": ["config", "security", "rpc", "discovery", "gateway", "topology"],
     "topology": ["config", "security", "rpc", "brokers", "discovery", "processes"],
 }
 # A part of a room with rules of its own. `None`: everything.
@@ -42,7 +43,7 @@ NO_IMPLEMENTATIONS = ("brokers/client", "brokers/spool", "discovery/client", "di
                       "discovery/selection")
 # Who may also name the servers that run in this process.
 STARTERS = {"brokers/embedded": "topology/local/", "discovery/embedded": "topology/local/"}
-THRIFT_OF_GATEWAY = re.compile(r"gateway/(\w+_types|T\w+Service)\.h$")
+THRIFT_FOR_MASTERS = re.compile(r"(gateway|topology/pool)/(\w+_types|T\w+Service)\.h$")
 # A heavy library (CONTRIBUTING.md says how to measure what each costs a unit): the sources that may include it. `None`:
 # all. No header may,
 HEAVY = {
@@ -109,8 +110,8 @@ def include_violation(file, included):
     sdk = room == "drivers" or posixpath.dirname(file) == "topology"
     if sdk and target_room == "brokers" and target != "brokers/message.h":
         return f"the SDK in {room}/ may use <iotcloud/brokers/message.h> only"
-    if room == "master" and target_room == "gateway" and not THRIFT_OF_GATEWAY.search(target):
-        return "master/ may use the gateway's Thrift client only"
+    if room == "master" and target_room in ("gateway", "topology") and not THRIFT_FOR_MASTERS.search(target):
+        return "master/ may use the Thrift clients of gateways and pools only"
     return None
 
 

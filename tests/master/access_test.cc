@@ -357,6 +357,7 @@ TEST_F(Access, EveryOrderIsWrittenDownBeforeItIsCarriedOut) {
   client.orderTopology(changed, {});
   wire::TUploadResponse upload;
   client.offerPlugin(upload, {}, {});
+  client.offerLibrary(upload, {});
   client.finishPlugin(upload, "x");
   std::string backup;
   client.exportOrders(backup);

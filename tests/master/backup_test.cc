@@ -166,6 +166,36 @@ TEST_F(MasterBackup, DoesNotBringAKilledTopologyBack) {
   EXPECT_THAT(master->backup().topologies, IsEmpty());
 }
 
+TEST_F(MasterBackup, GivesAnEmptiedRegistryItsSubmittedTopologiesBack) {
+  const auto submit = [&](const std::string& yaml) {
+    discovery::Submission submission;
+    submission.name = "t"_topology;
+    submission.workers = 3;
+    submission.last_number = 4;
+    submission.pending = 1;
+    submission.version = {4, yaml, {{"x.so", "x.so", std::string(64, 'a')}}, "digest"};
+    submission.previous = {3, "before", {}, ""};
+    discovery::put(*registry, paths.submission("t"_topology), encode(submission));
+  };
+  submit("one");
+  const auto backup = master->backup();
+  ASSERT_THAT(backup.submissions, SizeIs(1));
+  EXPECT_THAT(sent_libraries(backup), SizeIs(1));
+  EXPECT_EQ(decode_backup(encode(backup), "b"), backup);
+  wipe();
+  EXPECT_TRUE(import(backup).all_done());
+  auto standing = discovery::list_submissions(*registry, paths).at("t"_topology).submission;
+  EXPECT_EQ(standing.version.yaml, "one");
+  EXPECT_EQ(standing.version.number, 5) << "pools may remember another version 4";
+  EXPECT_EQ(standing.workers, 3);
+  EXPECT_EQ(standing.pending, 0);
+  submit("another");
+  EXPECT_FALSE(import(backup).all_done());
+  EXPECT_TRUE(import(backup, true).all_done());
+  standing = discovery::list_submissions(*registry, paths).at("t"_topology).submission;
+  EXPECT_EQ(standing.version.yaml, "one");
+}
+
 TEST_F(MasterBackup, WhatCannotBeReadIsRefusedAndNothingIsWritten) {
   Backup backup;
   OrderRecord order;

@@ -29,9 +29,10 @@ std::string find_library(const std::string& name, const std::string& yaml_file,
 }  // namespace
 
 void load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
-                    ComponentRegistry& components) {
+                    ComponentRegistry& components, const std::map<std::string, std::string>& paths) {
   for (const auto& name : definition.libraries) {
-    const std::string path = find_library(name, definition.file, folders);
+    const auto known = paths.find(name);
+    const std::string path = known != paths.end() ? known->second : find_library(name, definition.file, folders);
     try {
       load_components(path, components);
     } catch (const config::Error& error) {
@@ -40,9 +41,13 @@ void load_libraries(const TopologyDefinition& definition, const std::vector<std:
   }
 }
 
-std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
-                           ComponentRegistry components) {
-  std::string description;
+namespace {
+
+/// Reads a topology's YAML, puts its graph together, and calls `use` with both if nothing is wrong.
+/// \throws config::ConfigError.
+template <typename Use>
+void read_and_assemble(const std::string& file, const std::vector<std::string>& folders, ComponentRegistry components,
+                       const Use& use) {
   config::YamlSection::read_file(file, [&](config::YamlSection& root) {
     const auto definition = TopologyDefinition::read(root, file);
     load_libraries(definition, folders, components);
@@ -52,9 +57,46 @@ std::string check_topology(const std::string& file, const std::vector<std::strin
     services->clock = &config::system_clock();
     services->metrics = &unused;
     const Topology topology = assemble(definition, components, endpoint_factories(services));
-    if (!root.has_errors()) description = describe(definition, topology);
+    if (!root.has_errors()) use(definition, topology);
+  });
+}
+
+std::string one_line(const nlohmann::ordered_json& answer) {
+  return answer.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+}
+
+}  // namespace
+
+std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
+                           ComponentRegistry components) {
+  std::string description;
+  read_and_assemble(file, folders, std::move(components), [&](const auto& definition, const auto& topology) {
+    description = describe(definition, topology);
   });
   return description;
+}
+
+std::string check_submission(const std::string& file, const std::vector<std::string>& folders) {
+  nlohmann::ordered_json answer;
+  try {
+    read_and_assemble(file, folders, {}, [&](const auto& definition, const auto& topology) {
+      if (definition.registry.url.empty()) {
+        throw definition.root.error("", "the key \"zk.servers\" is missing",
+                                    "add \"zk.servers: [\\\"host:2181\\\"]\": its workers run on other machines");
+      }
+      auto libraries = nlohmann::ordered_json::array();
+      for (const auto& name : definition.libraries) {
+        libraries.push_back({{"name", name}, {"path", find_library(name, file, folders)}});
+      }
+      answer = {{"topology", definition.name.str()},
+                {"libraries", std::move(libraries)},
+                {"crossings", crossings(definition, topology)},
+                {"registry", definition.registry.url}};
+    });
+  } catch (const std::exception& error) {
+    answer = {{"error", error.what()}};
+  }
+  return one_line(answer);
 }
 
 std::string check_library(const std::string& file) {
@@ -71,7 +113,7 @@ std::string check_library(const std::string& file) {
   } catch (const std::exception& error) {
     answer = {{"error", error.what()}};
   }
-  return answer.dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+  return one_line(answer);
 }
 
 }  // namespace iotcloud::topology

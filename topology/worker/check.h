@@ -1,5 +1,6 @@
 #pragma once
 
+#include <map>
 #include <string>
 #include <vector>
 
@@ -10,9 +11,10 @@ namespace iotcloud::topology {
 
 /// Loads the libraries of `topology.library` and lets them register their components.
 /// \param folders where to look for libraries that are not beside the YAML file, in this order.
+/// \param paths of libraries, by how `topology.library` names them; those that are not in it are looked for.
 /// \throws config::ConfigError at `topology.library`.
 void load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
-                    ComponentRegistry& components);
+                    ComponentRegistry& components, const std::map<std::string, std::string>& paths = {});
 
 /// Reads a topology's YAML, loads its component libraries and puts the graph together, as a worker does; contacts no
 /// registry and no broker. Accepts a file without a registry, because local mode needs none.
@@ -20,6 +22,11 @@ void load_libraries(const TopologyDefinition& definition, const std::vector<std:
 /// \return the text of describe(). \throws config::ConfigError.
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
                            ComponentRegistry components = {});
+
+/// Checks a topology as check_topology() does, for `iotcloud topology submit`. \return a JSON object of one line:
+/// `topology`, `libraries` (each with `name`, as the YAML has it, and `path`), `crossings` (crossings(): why several
+/// workers may not run it) and `registry`; or `error`: what is wrong.
+std::string check_submission(const std::string& file, const std::vector<std::string>& folders);
 
 /// Loads a component library as a worker does. \return a JSON object of one line: what it registers, or `error`: why it
 /// cannot be loaded.

@@ -7,6 +7,7 @@
 #include <memory>
 #include <optional>
 #include <string_view>
+#include <vector>
 
 #include <unistd.h>
 
@@ -15,6 +16,8 @@
 #include <iotcloud/rpc/http/health_page.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
+#include <iotcloud/topology/pool/pool_daemon.h>
+#include <iotcloud/topology/pool/pooled_worker.h>
 #include <iotcloud/topology/worker/check.h>
 #include <iotcloud/topology/worker/worker.h>
 
@@ -64,6 +67,7 @@ class WorkerService final : public config::DaemonService {
     pages_->reload();
   }
   std::string trouble() const override { return started_ ? worker_.trouble() : "starting"; }
+  const std::string& name() const { return worker_.name(); }
 
  private:
   rpc::HttpAnswer describe() const { return {200, "application/json", worker_.describe()}; }
@@ -99,10 +103,11 @@ std::vector<std::string> library_folders() {
   return {program.parent_path() / "plugins", program.parent_path() / "lib/iotcloud/plugins"};
 }
 
-std::unique_ptr<config::DaemonService> build(const std::string& file) {
+std::unique_ptr<WorkerService> build_worker(const std::string& file, std::map<std::string, std::string> libraries) {
   topology::WorkerOptions options{.definition = topology::TopologyDefinition::load(file),
                                   .components = {},
                                   .library_folders = library_folders(),
+                                  .libraries = std::move(libraries),
                                   .registry = nullptr,
                                   .clock = nullptr,
                                   .metrics = nullptr,
@@ -110,6 +115,44 @@ std::unique_ptr<config::DaemonService> build(const std::string& file) {
                                   .on_killed = [] { ::kill(getpid(), SIGTERM); }};
   return std::make_unique<WorkerService>(std::move(options));
 }
+
+std::unique_ptr<config::DaemonService> build(const std::string& file) {
+  return build_worker(file, {});
+}
+
+/// A worker that a pool has started: it tells the pool how it fares.
+class PooledService final : public config::DaemonService {
+ public:
+  PooledService(const std::string& folder, const std::string& file) : link_(folder) {
+    try {
+      worker_ = build_worker(file, link_.spec().libraries);
+    } catch (const std::exception& error) {
+      link_.leave_word(true, error.what());
+      throw;
+    }
+  }
+  void start(const std::stop_token& stop) override {
+    link_.show({false, worker_->name()});
+    try {
+      worker_->start(stop);
+    } catch (const std::exception& error) {
+      link_.leave_word(false, error.what());
+      throw;
+    }
+    link_.probe_with([this] { static_cast<void>(worker_->trouble()); });
+    link_.show({true, worker_->name()});
+  }
+  void stop(std::chrono::milliseconds limit) override {
+    link_.probe_with({});
+    worker_->stop(limit);
+  }
+  void reload() override { worker_->reload(); }
+  std::string trouble() const override { return worker_->trouble(); }
+
+ private:
+  topology::PooledWorker link_;
+  std::unique_ptr<WorkerService> worker_;
+};
 
 /// Runs `--check FILE`. \return the exit status.
 int check(const char* file) {
@@ -129,11 +172,46 @@ int check_library(const char* file) {
   return answer.starts_with("{\"error\"") ? 1 : 0;
 }
 
+/// Runs `--check-submission FILE`: the answer is the last line. \return the exit status.
+int check_submission(const char* file) {
+  const std::string answer = topology::check_submission(file, library_folders());
+  std::printf("\n%s\n", answer.c_str());
+  return answer.starts_with("{\"error\"") ? 1 : 0;
+}
+
+/// Runs the daemon without these arguments, which stand before its own.
+int run_without(int count, int argc, char** argv, const config::DaemonOptions& options) {
+  std::vector<char*> rest{argv[0]};
+  rest.insert(rest.end(), argv + 1 + count, argv + argc);
+  rest.push_back(nullptr);
+  return config::run_daemon(static_cast<int>(rest.size()) - 1, rest.data(), options);
+}
+
+int run_pool(int argc, char** argv) {
+  return run_without(1, argc, argv,
+                     {.name = "iotcloud-topology --pool",
+                      .description = "Runs its share of the topologies that are submitted: `iotcloud topology submit`.",
+                      .build = topology::make_pool_daemon,
+                      .stop_limit = std::chrono::milliseconds(15'000)});
+}
+
+int run_pooled(const std::string& folder, int argc, char** argv) {
+  return run_without(
+      2, argc, argv,
+      {.name = "iotcloud-topology",
+       .description = "Runs one worker of a topology, for a pool.",
+       .build = [folder](const std::string& file) { return std::make_unique<PooledService>(folder, file); }});
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
-  if (argc == 3 && std::string_view(argv[1]) == "--check") return check(argv[2]);
-  if (argc == 3 && std::string_view(argv[1]) == "--check-library") return check_library(argv[2]);
+  const std::string_view first = argc > 1 ? argv[1] : "";
+  if (argc == 3 && first == "--check") return check(argv[2]);
+  if (argc == 3 && first == "--check-library") return check_library(argv[2]);
+  if (argc == 3 && first == "--check-submission") return check_submission(argv[2]);
+  if (first == "--pool") return run_pool(argc, argv);
+  if (argc > 2 && first == "--pooled") return run_pooled(argv[2], argc, argv);
   return config::run_daemon(
       argc, argv,
       {.name = "iotcloud-topology",
@@ -141,6 +219,8 @@ int main(int argc, char** argv) {
            "Runs one worker of a topology; start it again, on any machine, to scale out. "
            "`iotcloud-topology --check FILE` only checks a topology and prints its "
            "graph, without contacting registry or broker; `--check-library FILE` loads a component library and "
-           "says what it registers.",
+           "says what it registers. `iotcloud-topology --pool --config FILE` runs a pool of workers, to which "
+           "topologies "
+           "are submitted.",
        .build = build});
 }

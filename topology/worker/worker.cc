@@ -67,7 +67,7 @@ RuntimeOptions runtime_options(const WorkerOptions& options) {
 struct Worker::Impl {
   explicit Impl(WorkerOptions given) : options(std::move(given)), services(std::make_shared<EndpointServices>()) {
     const TopologyDefinition& definition = options.definition;
-    load_libraries(definition, options.library_folders, options.components);
+    load_libraries(definition, options.library_folders, options.components, options.libraries);
     services->topology = definition.name;
     services->worker = unique_name();
     services->paths = discovery::Paths(definition.zk_root);

@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <functional>
+#include <map>
 #include <memory>
 #include <string>
 #include <vector>
@@ -26,6 +27,8 @@ struct WorkerOptions {
   ComponentRegistry components;
   /// Where to look for component libraries that are not found relative to the YAML file, in this order.
   std::vector<std::string> library_folders;
+  /// Where libraries are that `topology.library` names: paths by those names. Others are looked for as above.
+  std::map<std::string, std::string> libraries = {};
   /// Overrides the YAML's registry. Must outlive the worker. nullptr: the worker connects by itself.
   discovery::Registry* registry = nullptr;
   const config::Clock* clock = nullptr;  ///< nullptr: the system's

@@ -11,7 +11,9 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/fleet/apply.h>
+#include <iotcloud/master/cli/fleet/apply_topologies.h>
 #include <iotcloud/master/cli/fleet/manifest.h>
 #include <iotcloud/master/cli/fleet/plan.h>
 #include <iotcloud/master/cli/fleet/plugin_declarations.h>
@@ -94,25 +96,79 @@ void tell_rest(const FleetPlan& plan, std::ostream& out, std::ostream& err) {
                        printable(problem.text));
 }
 
-int show_plan(Call& call, const Manifest& manifest, const FleetPlan& plan) {
-  const int status = !plan.problems.empty() ? exit_failed : plan.steps.empty() ? exit_ok : exit_differs;
+/// What a plan says of topologies, and what became of it. \param outcomes empty: nothing was done yet
+Json to_json(const TopologyPlan& plan, const std::vector<FleetStepOutcome>& outcomes = {}) {
+  Json changes = Json::array();
+  for (std::size_t i = 0; i < plan.steps.size(); ++i) {
+    const auto& step = plan.steps[i];
+    Json change{{"change", to_string(step.kind)}, {"topology", step.topology}, {"what", step.what}};
+    if (!outcomes.empty()) {
+      change["outcome"] = outcomes[i].outcome;
+      change["reason"] = outcomes[i].reason;
+    }
+    changes.push_back(std::move(change));
+  }
+  Json problems = Json::array();
+  for (const auto& [topology, text] : plan.problems) problems.push_back({{"topology", topology}, {"text", text}});
+  return {{"changes", std::move(changes)},
+          {"problems", std::move(problems)},
+          {"kept", discovery::json_of<Json>(plan.kept)},
+          {"same", plan.same}};
+}
+
+bool is_empty(const TopologyPlan& plan) {
+  return plan.steps.empty() && plan.problems.empty() && plan.kept.empty() && plan.same == 0;
+}
+
+/// "nothing to do: 3 instances, 1 topology as the manifest says"
+std::string nothing_to_do(const FleetPlan& plan, const TopologyPlan& topologies) {
+  const std::string more =
+      topologies.same == 0 ? "" : fmt::format(", {} topolog{}", topologies.same, topologies.same == 1 ? "y" : "ies");
+  return fmt::format("nothing to do: {}{} as the manifest says\n", instances(plan.same), more);
+}
+
+/// Prints the steps of topologies, and what became of them. \param outcomes empty: nothing was done yet
+void print_topologies(const TopologyPlan& plan, const std::vector<FleetStepOutcome>& outcomes, Call& call) {
+  Rows rows;
+  for (std::size_t i = 0; i < plan.steps.size(); ++i) {
+    const auto& step = plan.steps[i];
+    rows.push_back({printable(step.topology), to_string(step.kind)});
+    if (outcomes.empty()) {
+      rows.back().push_back(printable(fmt::format("{}", fmt::join(step.what, "; "))));
+    } else {
+      rows.back().insert(rows.back().end(), {outcomes[i].outcome, printable(outcomes[i].reason)});
+    }
+  }
+  if (!rows.empty() && outcomes.empty()) print_table(call.out, {"TOPOLOGY", "CHANGE", "WHAT"}, rows);
+  if (!rows.empty() && !outcomes.empty()) print_table(call.out, {"TOPOLOGY", "CHANGE", "OUTCOME", "REASON"}, rows);
+  for (const auto& topology : plan.kept)
+    call.out << fmt::format("kept, though the manifest does not name it any more: topology {}\n", printable(topology));
+  for (const auto& [topology, text] : plan.problems)
+    call.err << fmt::format("iotcloud: topology {}: {}\n", printable(topology), printable(text));
+}
+
+int show_plan(Call& call, const Manifest& manifest, const FleetPlan& plan, const TopologyPlan& topologies) {
+  const bool has_problems = !plan.problems.empty() || !topologies.problems.empty();
+  const bool has_steps = !plan.steps.empty() || !topologies.steps.empty();
+  const int status = has_problems ? exit_failed : has_steps ? exit_differs : exit_ok;
   if (call.format != Format::table) {
     Json changes = Json::array();
     for (const auto& step : plan.steps) changes.push_back(to_json(step));
     Json answer{{"fleet", manifest.fleet}, {"changes", changes}};
     answer.update(rest_of(plan));
+    if (!is_empty(topologies)) answer["topologies"] = to_json(topologies);
     print_data(call.out, call.format, answer);
     return status;
   }
-  if (plan.steps.empty()) {
-    call.out << fmt::format("nothing to do: {} as the manifest says\n", instances(plan.same));
-  } else {
+  if (!has_steps) call.out << nothing_to_do(plan, topologies);
+  if (!plan.steps.empty()) {
     Rows rows;
     for (const auto& step : plan.steps)
       rows.push_back({printable(step.gateway), printable(full_name(step)), to_string(step.kind),
                       printable(fmt::format("{}", fmt::join(step.what, "; ")))});
     print_table(call.out, {"GATEWAY", "NAME", "CHANGE", "WHAT"}, rows);
   }
+  print_topologies(topologies, {}, call);
   tell_rest(plan, call.out, call.err);
   return status;
 }
@@ -138,9 +194,12 @@ void name_failures(const FleetPlan& plan, const std::vector<FleetStepOutcome>& o
 }
 
 int show_outcomes(Call& call, const Manifest& manifest, const FleetPlan& plan,
-                  const std::vector<FleetStepOutcome>& outcomes) {
-  bool ok = plan.problems.empty();
-  for (const auto& outcome : outcomes) ok = ok && outcome.outcome == "done";
+                  const std::vector<FleetStepOutcome>& outcomes, const TopologyPlan& topologies,
+                  const std::vector<FleetStepOutcome>& of_topologies) {
+  bool ok = plan.problems.empty() && topologies.problems.empty();
+  for (const auto* all : {&outcomes, &of_topologies}) {
+    for (const auto& outcome : *all) ok = ok && outcome.outcome == "done";
+  }
   if (call.format != Format::table) {
     Json changes = Json::array();
     for (std::size_t i = 0; i < outcomes.size(); ++i) {
@@ -151,12 +210,12 @@ int show_outcomes(Call& call, const Manifest& manifest, const FleetPlan& plan,
     }
     Json answer{{"fleet", manifest.fleet}, {"ok", ok}, {"changes", changes}};
     answer.update(rest_of(plan));
+    if (!is_empty(topologies)) answer["topologies"] = to_json(topologies, of_topologies);
     print_data(call.out, call.format, answer);
     return ok ? exit_ok : exit_failed;
   }
-  if (plan.steps.empty()) {
-    call.out << fmt::format("nothing to do: {} as the manifest says\n", instances(plan.same));
-  } else {
+  if (plan.steps.empty() && topologies.steps.empty()) call.out << nothing_to_do(plan, topologies);
+  if (!plan.steps.empty()) {
     Rows rows;
     for (std::size_t i = 0; i < outcomes.size(); ++i) {
       const auto& step = plan.steps[i];
@@ -166,6 +225,7 @@ int show_outcomes(Call& call, const Manifest& manifest, const FleetPlan& plan,
     print_table(call.out, {"GATEWAY", "NAME", "CHANGE", "OUTCOME", "REASON"}, rows);
     name_failures(plan, outcomes, call.err);
   }
+  print_topologies(topologies, of_topologies, call);
   tell_rest(plan, call.out, call.err);
   return ok ? exit_ok : exit_failed;
 }
@@ -210,15 +270,18 @@ class OfManifest : public Verb {
                      "alone");
   }
   int run(Call& call) override {
-    const auto manifest = load_manifest(file_);
+    auto manifest = load_manifest(file_);
+    look_at_topologies(manifest);
     const auto master = call.connect();
     check_properties(call, manifest, *master);
     const auto plan = make_plan(manifest, read_fleet(*master), plan_options_);
-    return follow(call, manifest, plan);
+    const auto topologies =
+        make_topology_plan(manifest, present_topologies(*master), plan_options_.prune, plan_options_.adopt);
+    return follow(call, manifest, plan, topologies);
   }
 
  protected:
-  virtual int follow(Call& call, const Manifest& manifest, const FleetPlan& plan) = 0;
+  virtual int follow(Call& call, const Manifest& manifest, const FleetPlan& plan, const TopologyPlan& topologies) = 0;
 
  private:
   static void check_properties(Call& call, const Manifest& manifest, MasterClient& master) {
@@ -241,8 +304,8 @@ class Diff final : public OfManifest {
                     "iotcloud diff -f fleet.yaml", security::Role::operating}) {}
 
  private:
-  int follow(Call& call, const Manifest& manifest, const FleetPlan& plan) override {
-    return show_plan(call, manifest, plan);
+  int follow(Call& call, const Manifest& manifest, const FleetPlan& plan, const TopologyPlan& topologies) override {
+    return show_plan(call, manifest, plan, topologies);
   }
 };
 
@@ -263,8 +326,8 @@ class Apply final : public OfManifest {
   }
 
  private:
-  int follow(Call& call, const Manifest& manifest, const FleetPlan& plan) override {
-    if (dry_run_) return show_plan(call, manifest, plan);
+  int follow(Call& call, const Manifest& manifest, const FleetPlan& plan, const TopologyPlan& topologies) override {
+    if (dry_run_) return show_plan(call, manifest, plan, topologies);
     apply_options_.connect = [&call] { return call.connect(); };
     if (call.progress) apply_options_.terminal = &call.err;
     std::optional<WaitingReport> waiting;
@@ -274,7 +337,8 @@ class Apply final : public OfManifest {
     apply_options_.progress = progress_to(waiting);
     const auto outcomes = apply(manifest, plan, apply_options_);
     waiting.reset();
-    return show_outcomes(call, manifest, plan, outcomes);
+    const auto of_topologies = apply_topologies(manifest, topologies, apply_options_);
+    return show_outcomes(call, manifest, plan, outcomes, topologies, of_topologies);
   }
 
   bool dry_run_ = false;

@@ -200,6 +200,16 @@ ManifestDeployment read_deployment(const std::string& name, YamlSection& section
   return deployment;
 }
 
+ManifestTopology read_topology(const std::string& name, YamlSection& section) {
+  ManifestTopology topology;
+  topology.name = discovery::TopologyName(checked_name(section, "", name));
+  topology.file = section.require_string("file");
+  topology.workers = static_cast<int>(section.int_or("workers", 1, 1, most_topology_workers));
+  topology.place = section.where();
+  section.finish();
+  return topology;
+}
+
 }  // namespace
 
 Texts ManifestDeployment::properties_of(int index) const {
@@ -224,11 +234,12 @@ namespace {
 Manifest read(YamlSection& top, const FindPlugin& find_plugin, const ReadFile& read_file) {
   Manifest manifest;
   manifest.fleet = checked_name(top, "fleet", top.require_string("fleet"));
-  if (!top.has("deployments"))
+  if (!top.has("deployments") && !top.has("topologies"))
     top.refuse("", "the key \"deployments\" is missing",
                "add \"deployments:\"; {} takes everything away that this manifest deployed");
   for (auto& [name, section] : top.sections("deployments"))
     manifest.deployments.push_back(read_deployment(name, section, find_plugin, read_file));
+  for (auto& [name, section] : top.sections("topologies")) manifest.topologies.push_back(read_topology(name, section));
   top.finish();
   return manifest;
 }
@@ -252,6 +263,7 @@ Manifest load_manifest(const std::string& file) {
   config::YamlSection::read_file(file, [&](YamlSection& top) {
     manifest = read(top, find_plugin, [&](const std::string& named) { return text_of_file(folder / named); });
   });
+  for (auto& topology : manifest.topologies) topology.file = folder / topology.file;
   return manifest;
 }
 

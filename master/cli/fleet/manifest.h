@@ -31,11 +31,24 @@ struct ManifestDeployment : discovery::Deployment {
   config::Location place_of(const std::string& property, int index) const;
 };
 
+/// A topology of a manifest, which pools of workers are to run.
+struct ManifestTopology {
+  discovery::TopologyName name;
+  std::string file;  ///< its YAML's path on this machine
+  int workers = 1;
+  config::Location place{};  ///< where it stands in the manifest
+  std::string digest{};      ///< of its YAML and libraries, once they were looked at; empty before
+};
+
 /// A whole fleet as it is wanted (config/fleet.yaml is a commented one).
 struct Manifest {
   std::string fleet;  ///< its name, with which its instances are marked; only marked instances are ever removed
   std::vector<ManifestDeployment> deployments;
+  std::vector<ManifestTopology> topologies;
 };
+
+/// Most workers of one topology.
+inline constexpr int most_topology_workers = 1000;
 
 /// Most instances of one deployment on one gateway.
 inline constexpr int most_instances = 10'000;

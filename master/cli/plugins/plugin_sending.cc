@@ -55,25 +55,37 @@ InstanceOutcome failure_of(const UploadTarget& target) {
 
 }  // namespace
 
+namespace {
+
+/// Sends a file's pieces to the receivers of an offer. \return the answer to the last of them
+UploadResult send_pieces(UploadResult answer, const std::string& file, const std::string& bytes, MasterClient& master,
+                         std::ostream* terminal) {
+  const std::string upload = answer.upload;
+  Progress progress(file, bytes.size(), terminal);
+  for (std::size_t offset = 0; offset < bytes.size() && !answer.upload.empty(); offset += piece) {
+    progress.at(offset);
+    answer = accepted(master.send_plugin(upload, static_cast<std::int64_t>(offset), bytes.substr(offset, piece)));
+  }
+  return answer.upload.empty() ? answer : accepted(master.finish_plugin(upload));
+}
+
+PluginOffer offer_of(const std::string& path, const std::string& bytes) {
+  return {fs::path(path).filename(), security::sha256_hex(bytes), static_cast<std::int64_t>(bytes.size()),
+          plugin_signature(path)};
+}
+
+}  // namespace
+
 SentPlugin send_plugin(const std::string& plugin, const std::vector<discovery::GatewayId>& gateways,
                        MasterClient& master, std::ostream* terminal) {
   SentPlugin sent;
   sent.plugin = plugin;
   if (!is_local_plugin(plugin)) return sent;
   const std::string bytes = plugin_bytes(plugin);
-  sent.plugin = fs::path(plugin).filename();
-  sent.sha256 = security::sha256_hex(bytes);
-  const PluginOffer offer{sent.plugin, sent.sha256, static_cast<std::int64_t>(bytes.size()), plugin_signature(plugin)};
-  auto answer = accepted(master.offer_plugin(offer, gateways));
-  const std::string upload = answer.upload;
-  {
-    Progress progress(sent.plugin, bytes.size(), terminal);
-    for (std::size_t offset = 0; offset < bytes.size() && !answer.upload.empty(); offset += piece) {
-      progress.at(offset);
-      answer = accepted(master.send_plugin(upload, static_cast<std::int64_t>(offset), bytes.substr(offset, piece)));
-    }
-    if (!answer.upload.empty()) answer = accepted(master.finish_plugin(upload));
-  }
+  const PluginOffer offer = offer_of(plugin, bytes);
+  sent.plugin = offer.plugin;
+  sent.sha256 = offer.sha256;
+  const auto answer = send_pieces(accepted(master.offer_plugin(offer, gateways)), sent.plugin, bytes, master, terminal);
   for (const auto& target : answer.targets) {
     if (target.has) {
       sent.gateways.push_back(target.gateway);
@@ -81,6 +93,20 @@ SentPlugin send_plugin(const std::string& plugin, const std::vector<discovery::G
       sent.failures.push_back(failure_of(target));
     }
   }
+  return sent;
+}
+
+SentToPools send_library(const std::string& path, MasterClient& master, std::ostream* terminal) {
+  const std::string bytes = plugin_bytes(path);
+  const PluginOffer offer = offer_of(path, bytes);
+  const auto answer = send_pieces(accepted(master.offer_library(offer)), offer.plugin, bytes, master, terminal);
+  SentToPools sent{offer.plugin, offer.sha256, {}};
+  for (const auto& target : answer.targets) {
+    if (!target.has) sent.failures.push_back(failure_of(target));
+  }
+  if (sent.failures.size() == answer.targets.size())
+    throw RequestFailed(fmt::format("no pool takes {}: pool {}: {}", offer.plugin, sent.failures.front().gateway,
+                                    sent.failures.front().reason));
   return sent;
 }
 

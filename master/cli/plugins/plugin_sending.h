@@ -23,4 +23,16 @@ struct SentPlugin {
 SentPlugin send_plugin(const std::string& plugin, const std::vector<discovery::GatewayId>& gateways,
                        MasterClient& master, std::ostream* terminal);
 
+/// A component library as submissions must name it, and the pools that have it.
+struct SentToPools {
+  std::string file;  ///< its plain name
+  std::string sha256;
+  std::vector<InstanceOutcome> failures;  ///< one for each pool that did not take it
+};
+
+/// Sends a component library of this machine, with the signature in FILE.sig beside it when there is one, to all pools
+/// that do not have it yet. \param terminal as above. \throws std::invalid_argument for a file that cannot be sent;
+/// Unreachable; RequestFailed, also when no pool took it.
+SentToPools send_library(const std::string& path, MasterClient& master, std::ostream* terminal);
+
 }  // namespace iotcloud::master::cli

@@ -127,6 +127,7 @@ class Show final : public OfTopology {
       Json workers = Json::array();
       for (const auto& worker : topology.workers) workers.push_back(worker_json(worker));
       Json components = Json::array();
+      Json places = discovery::json_of<Json>(topology.places);
       for (Json component : pages.components()) {
         component.update(pages.sum(component.at("id").get<std::string>()));
         components.push_back(std::move(component));
@@ -136,6 +137,9 @@ class Show final : public OfTopology {
                   {"state", topology_state(topology)},
                   {"revision", revision_of(topology)},
                   {"since_ms", topology.record.since_ms},
+                  {"version", topology.version},
+                  {"wanted_workers", topology.wanted_workers},
+                  {"places", places},
                   {"workers", workers},
                   {"brokers", pages.brokers()},
                   {"arrivals", pages.arrivals()},
@@ -146,6 +150,18 @@ class Show final : public OfTopology {
   }
 
  private:
+  static void show_places(const TopologyStatus& topology, std::ostream& out) {
+    if (topology.version == 0) return;
+    Rows rows;
+    for (const auto& place : topology.places) {
+      rows.push_back({std::to_string(place.place), printable(place.pool), std::to_string(place.version),
+                      printable(place.state), age(place.since_ms, now_ms()), printable(place.worker),
+                      printable(place.reason)});
+    }
+    out << fmt::format("\nsubmitted: version {}, {} worker{}\n", topology.version, topology.wanted_workers,
+                       topology.wanted_workers == 1 ? "" : "s");
+    print_table(out, {"PLACE", "POOL", "VERSION", "STATE", "SINCE", "WORKER", "REASON"}, rows);
+  }
   static void show_brokers(const TopologyPages& pages, std::ostream& out) {
     Rows rows;
     for (const Json& link : pages.brokers()) {
@@ -191,6 +207,7 @@ class Show final : public OfTopology {
                        workers, workers == 1 ? "" : "s",
                        revision == 0 ? std::string("no orders") : fmt::format("order {}", revision));
     show_workers(topology, out);
+    show_places(topology, out);
     show_brokers(pages, out);
     show_arrivals(pages, out);
     show_troubles(pages, out);
@@ -388,6 +405,7 @@ void add_topology_verbs(Verbs& verbs) {
   change(TopologyChange::kill, "kill",
          "End a topology: its workers take nothing in, finish what is under way, and their processes end",
          "iotcloud topology kill echo --drain 30");
+  add_submission_verbs(group);
   group.add<Metrics>();
   group.add<Tap>();
   group.add<Check>();

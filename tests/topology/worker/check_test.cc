@@ -78,6 +78,22 @@ bolt echo: 2 executors, 4 tasks; class good.Echo
 )");
 }
 
+TEST_F(Check, SaysWhatASubmissionTakesAndWhyItCannotBeOne) {
+  const auto submission = [&](const std::string& text) { return run("--check-submission " + write(text)).second; };
+  EXPECT_EQ(submission(good),
+            "\n{\"topology\":\"t\",\"libraries\":[{\"name\":\"" GOOD_LIBRARY "\",\"path\":\"" GOOD_LIBRARY
+            "\"}],\"crossings\":\"\",\"registry\":\"zookeeper://127.0.0.1:1\"}\n");
+  std::string across = good;
+  across.replace(across.find("grouping: fields, fields: [driverID]"), 36, "grouping: global");
+  EXPECT_THAT(submission(across), HasSubstr("echo <- in, global"));
+  std::string wrong = good;
+  wrong.replace(wrong.find("good.Echo"), 9, "good.Ecco");
+  EXPECT_THAT(submission(wrong), AllOf(StartsWith("\n{\"error\":"), HasSubstr("did you mean")));
+  std::string nowhere = good;
+  nowhere.replace(nowhere.find("zk.servers"), 10, "# zk.serve");
+  EXPECT_THAT(submission(nowhere), HasSubstr("zk.servers"));
+}
+
 TEST_F(Check, SaysWhatIsWrongAndWhereAndEndsWithTwo) {
   std::string wrong = good;
   wrong.replace(wrong.find("good.Echo"), 9, "good.Ecco");

@@ -1,0 +1,215 @@
+#!/usr/bin/python3
+"""Topologies are submitted to a pool of two daemons. Under load, their workers are updated one by one, taken over from a
+pool that is killed with its workers, and adopted by a pool that is killed alone: no message is lost. What cannot run is
+refused with the reason, or taken back.
+
+usage: pool_test.py BUILD_DIR
+"""
+
+import argparse
+import os
+import shutil
+import signal
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+from private_cluster import PATIENT_STOP, PrivateCluster, require, result_of, wait_for  # noqa: E402
+
+DRIVERS = 4
+SESSION = "4s"
+
+
+def topology(library="passing.so", bolt="passing.Pass", fail_at="nowhere", grouping="fields, fields: [driverID]"):
+    return f"""
+zk.servers: ["{{zookeeper}}"]
+registry.session_timeout: {SESSION}
+topology.name: echo
+topology.library: {library}
+spouts:
+  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}}
+bolts:
+  pass: {{class: {bolt}, conf: {{fail_at: {fail_at}}}, inputs: [{{from: receive, grouping: {grouping}}}]}}
+  send:
+    broker: rabbitmq
+    driver: loadgen
+    channel: echo
+    fields: [data, driverID, time]
+    inputs: [{{from: pass, grouping: fields, fields: [driverID]}}]
+"""
+
+
+class Pools(PrivateCluster):
+    def pool(self, name):
+        file = self.out / f"{name}.yaml"
+        file.write_text(f"""id: {name}
+registry: "{self.zookeeper}"
+registry.session_timeout: {SESSION}
+state: "{self.out / 'state' / name}"
+worker_restart: {{first: 100ms, give_up_after: 3}}
+""")
+        self.commands[name] = [self.bin / "iotcloud-topology", "--pool", "--config", file, *PATIENT_STOP]
+        return self.spawn(name, self.commands[name])
+
+    def file(self, name, text):
+        path = self.out / "topologies" / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text.replace("{zookeeper}", self.zookeeper.removeprefix("zookeeper://")))
+        return path
+
+    def show(self):
+        return self.json("topology", "show", "echo")
+
+    def places(self):
+        """(pool, version) of each place, if all run."""
+        shown = self.show()
+        if len(shown["workers"]) != shown["wanted_workers"]:
+            return []
+        return [(place["pool"], place["version"]) for place in shown["places"] if place["state"] == "running"]
+
+    def worker_of(self, pool):
+        """Process ids of a pool's workers."""
+        shown = self.show()
+        names = [place["worker"] for place in shown["places"] if place["pool"] == pool]
+        return [worker["pid"] for worker in shown["workers"] if worker["worker"] in names]
+
+    def refused(self, *words):
+        done = self.run_cli("topology", *words)
+        require(done.returncode == 1, f"{words}: {done}")
+        return done.stdout + done.stderr
+
+
+def check_refusals(pools):
+    """What cannot run is refused before anything is sent."""
+    text = pools.refused("submit", pools.file("bad.yaml", topology(bolt="passing.Psas")))
+    require("passing.Psas" in text and "bad.yaml" in text and "passing.Pass" in text, text)
+    text = pools.refused("submit", pools.file("missing.yaml", topology(library="none.so")))
+    require("none.so" in text, text)
+    across = pools.file("across.yaml", topology(grouping="global"))
+    text = pools.refused("submit", across, "--workers", "2")
+    require("--engine storm" in text and "pass <- receive" in text, text)
+    text = pools.refused("submit", across, "--engine", "storm")
+    require("iotcloud-storm" in text, text)
+    require(pools.json("topology", "list") == [], "something was submitted")
+
+
+def check_taken_back(pools):
+    """A topology whose bolt does not start is taken back, with the reason."""
+    text = pools.refused("submit", pools.file("unable.yaml", topology(fail_at="prepare")))
+    require("as the conf says" in text and "taken back" in text, text)
+    require(pools.json("topology", "list") == [], "it was not taken back")
+
+
+def submit(pools):
+    file = pools.file("echo.yaml", topology())
+    begun = time.monotonic()
+    pools.cli("topology", "submit", file, "--workers", "2")
+    took = time.monotonic() - begun
+    require(sorted(pools.places()) == [("pool-1", 2), ("pool-2", 2)], pools.show())
+    text = pools.refused("submit", file)
+    require("submitted already" in text, text)
+    print(f"submit to running: {took:.2f} s, 2 workers in 2 pools")
+
+
+def check_update(pools):
+    library = pools.out / "topologies" / "passing.so"
+    library.write_bytes(library.read_bytes() + b"the next version")  # bytes behind a library are never read
+    begun = time.monotonic()
+    pools.cli("topology", "update", pools.out / "topologies" / "echo.yaml")
+    print(f"updated 2 workers, one after the other, in {time.monotonic() - begun:.2f} s")
+    require(sorted(pools.places()) == [("pool-1", 3), ("pool-2", 3)], pools.show())
+    pools.cli("topology", "rollback", "echo")
+    require(sorted(pools.places()) == [("pool-1", 2), ("pool-2", 2)], pools.show())
+    text = pools.refused("update", pools.file("unable.yaml", topology(fail_at="prepare")))
+    require("as the conf says" in text and "back on version 2" in text, text)
+    wait_for("both run the version before again", lambda: sorted(pools.places()) == [("pool-1", 2), ("pool-2", 2)])
+
+
+def check_adoption(pools):
+    """A pool that is killed alone finds its worker again."""
+    before = pools.worker_of("pool-1")
+    require(len(before) == 1, before)
+    pools.end("pool-1", signal.SIGKILL)
+    pools.again("pool-1")
+    wait_for("the pool has adopted its worker", lambda: "adopted worker" in pools.log("pool-1").read_text())
+    wait_for("both pools run a worker", lambda: len(pools.places()) == 2)
+    require(pools.worker_of("pool-1") == before, f"{pools.show()}, not {before}")
+
+
+def check_takeover(pools):
+    """What a pool ran that is killed with its workers runs on the other one."""
+    workers = pools.worker_of("pool-2")
+    pools.end("pool-2", signal.SIGKILL)
+    for worker in workers:
+        os.kill(worker, signal.SIGKILL)
+    begun = time.monotonic()
+    wait_for("pool-1 has taken over", lambda: [pool for pool, _ in pools.places()] == ["pool-1"] * 2)
+    print(f"taken over after {time.monotonic() - begun:.1f} s (session time-out {SESSION})")
+    pools.again("pool-2")
+    wait_for("pool-2 has its share again", lambda: sorted(pool for pool, _ in pools.places()) == ["pool-1", "pool-2"])
+
+
+def check_words(pools):
+    history = pools.json("topology", "history", "echo")
+    orders = [event["order"] for event in history]
+    require(orders == ["submit", "submit", "update", "rollback", "update"], history)
+    require("as the conf says" in history[4]["outcome"], history)
+    require("topology echo runs as worker" in pools.cli("topology", "logs", "echo", "--place", "0"), "no log")
+    listed = pools.json("topology", "pools")
+    require([pool["pool"] for pool in listed] == ["pool-1", "pool-2"], listed)
+
+
+def check_kill(pools):
+    answer = pools.answer("topology", "kill", "echo")
+    require(answer["ok"] and len(answer["outcomes"]) == 2, answer)
+    require(pools.json("topology", "list") == [], "it is still there")
+    wait_for("no pool has a place", lambda: all(not pool["places"] for pool in pools.json("topology", "pools")))
+    pools.cli("topology", "submit", pools.out / "topologies" / "echo.yaml")  # the name is free again
+    require(len(pools.places()) == 1, pools.show())
+    pools.cli("topology", "kill", "echo")
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("build")
+    parser.add_argument("library", help="the component library passing.so")
+    parser.add_argument("--rate", type=int, default=100, help="messages a second of each driver")
+    parser.add_argument("--seconds", type=int, default=14)
+    given = parser.parse_args()
+    build = Path(given.build).resolve()
+    work = build / "pool-test"
+    shutil.rmtree(work, ignore_errors=True)
+    count = given.rate * given.seconds
+    with Pools(work, build / "bin", build / "plugins") as pools:
+        pools.start(gateways=1)
+        for name in ("pool-1", "pool-2"):
+            pools.pool(name)
+        pools.wait_until_ready()
+        wait_for("both pools are there", lambda: len(pools.json("topology", "pools")) == 2)
+        (work / "topologies").mkdir(exist_ok=True)
+        shutil.copy(given.library, work / "topologies" / "passing.so")
+        check_refusals(pools)
+        check_taken_back(pools)
+        submit(pools)
+        reports = [work / f"report-{number}.json" for number in range(DRIVERS)]
+        for report in reports:
+            pools.deploy("loadgen.so", "gateway-1", {"count": count, "rate": given.rate, "report": report})
+        check_update(pools)
+        check_adoption(pools)
+        check_takeover(pools)
+        check_words(pools)
+        wait_for("all drivers have everything back", lambda: all(map(result_of, reports)), 180)
+        pools.require_alive()
+        for report in reports:
+            result = result_of(report)
+            wrong = {key: result[key] for key in ("lost", "damaged", "foreign") if result[key]}
+            require(not wrong and result["sent"] == count, f"{report.name}: {result}")
+        check_kill(pools)
+    print(f"{DRIVERS} drivers x {count} messages, {DRIVERS * given.rate}/s, none lost")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,208 @@
+// Workers as processes that are really started, adopted and killed; pooled_program.cc plays the worker.
+#include <filesystem>
+#include <fstream>
+#include <mutex>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <stdlib.h>
+
+#include <iotcloud/security/sha256.h>
+#include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/topology/pool/views.h>
+#include <iotcloud/topology/pool/worker_processes.h>
+
+namespace iotcloud::topology {
+namespace {
+
+using namespace std::chrono_literals;
+using How = WorkerEnding::How;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::SizeIs;
+using tests::eventually;
+
+/// What a worker has told.
+class Told {
+ public:
+  WorkerEvents events() {
+    return {[this](const pooled::WorkerReport& report) {
+              const std::lock_guard lock(mutex_);
+              report_ = report;
+            },
+            [this](const WorkerEnding& ending) {
+              const std::lock_guard lock(mutex_);
+              ending_ = ending;
+            }};
+  }
+  pooled::WorkerReport report() const {
+    const std::lock_guard lock(mutex_);
+    return report_;
+  }
+  bool runs() const {
+    return eventually([this] { return report().runs; });
+  }
+  WorkerEnding ending() const {
+    EXPECT_TRUE(eventually([this] {
+      const std::lock_guard lock(mutex_);
+      return ending_.has_value();
+    }));
+    const std::lock_guard lock(mutex_);
+    return ending_.value_or(WorkerEnding{});
+  }
+  /// The process that reported.
+  int process() const { return std::stoi(report().worker.substr(report().worker.rfind('-') + 1)); }
+
+ private:
+  mutable std::mutex mutex_;
+  pooled::WorkerReport report_;
+  std::optional<WorkerEnding> ending_;
+};
+
+class WorkerProcessesTest : public testing::Test {
+ protected:
+  WorkerProcessesTest() {
+    std::string pattern = std::filesystem::temp_directory_path() / "iotcloud-pool-XXXXXX";
+    folder_ = mkdtemp(pattern.data());
+    state_ = folder_ + "/" + std::string(120, 's');  // longer than the path of a Unix socket may be
+    std::filesystem::create_directories(state_);
+    processes::PluginStore::Options store;
+    store.folder = folder_ + "/libraries";
+    store_ = std::make_shared<processes::PluginStore>(store);
+  }
+  ~WorkerProcessesTest() override {
+    if (told_.report().runs) kill(told_.process(), SIGKILL);
+    std::filesystem::remove_all(folder_);
+  }
+
+  std::unique_ptr<WorkerProcesses> make() const {
+    WorkerProcesses::Options options;
+    options.pool = discovery::PoolId("p1");
+    options.state_dir = state_;
+    options.store = store_;
+    options.trust = trust_;
+    options.program = POOLED_PROGRAM;
+    options.ping_period = 20ms;
+    options.hang_limit = hang_limit_;
+    return std::make_unique<WorkerProcesses>(options);
+  }
+  static WorkerOrder order(const std::string& wanted) {
+    WorkerOrder order{{discovery::TopologyName("t"), 3}, views::submission("t", 4).version};
+    order.version.yaml = wanted;
+    return order;
+  }
+  std::vector<std::string> folders() const {
+    std::vector<std::string> names;
+    for (const auto& entry : std::filesystem::directory_iterator(state_ + "/workers"))
+      names.push_back(entry.path().filename());
+    return names;
+  }
+
+  std::chrono::milliseconds hang_limit_ = tests::patience;
+  std::string folder_, state_;
+  std::shared_ptr<processes::PluginStore> store_;
+  std::shared_ptr<const security::TrustedKeys> trust_ = std::make_shared<const security::TrustedKeys>();
+  Told told_;
+};
+
+TEST_F(WorkerProcessesTest, RunsAWorkerAndEndsIt) {
+  const auto workers = make();
+  const auto link = workers->start(order("run"), told_.events());
+  ASSERT_TRUE(told_.runs());
+  EXPECT_THAT(folders(), SizeIs(1));
+  link->stop(tests::patience);
+  EXPECT_EQ(told_.ending().how, How::stopped);
+  EXPECT_THAT(told_.ending().reason, IsEmpty());
+  EXPECT_THAT(folders(), IsEmpty());
+  EXPECT_TRUE(std::filesystem::exists(WorkerProcesses::log_of(state_, order("run").place)));
+}
+
+TEST_F(WorkerProcessesTest, TellsWhyAWorkerCannotRun) {
+  const auto workers = make();
+  const auto link = workers->start(order("refuse"), told_.events());
+  EXPECT_EQ(told_.ending().how, How::refused);
+  EXPECT_EQ(told_.ending().reason, "there is no class");
+}
+
+TEST_F(WorkerProcessesTest, TellsWhyAWorkerFailed) {
+  const auto workers = make();
+  const auto link = workers->start(order("fail"), told_.events());
+  EXPECT_EQ(told_.ending().how, How::failed);
+  EXPECT_EQ(told_.ending().reason, "there is no class");
+}
+
+TEST_F(WorkerProcessesTest, TellsHowAWorkerCrashed) {
+  const auto workers = make();
+  const auto link = workers->start(order("crash"), told_.events());
+  EXPECT_EQ(told_.ending().how, How::failed);
+  EXPECT_THAT(told_.ending().reason, HasSubstr("signal 6"));
+}
+
+TEST_F(WorkerProcessesTest, KillsAWorkerThatHangs) {
+  hang_limit_ = 300ms;
+  const auto workers = make();
+  const auto link = workers->start(order("stand still"), told_.events());
+  EXPECT_EQ(told_.ending().how, How::failed);
+  EXPECT_THAT(told_.ending().reason, HasSubstr("hung: no answer for 300 ms"));
+}
+
+TEST_F(WorkerProcessesTest, KillsAWorkerThatDoesNotStop) {
+  const auto workers = make();
+  const auto link = workers->start(order("stay"), told_.events());
+  ASSERT_TRUE(told_.runs());
+  link->stop(0ms);
+  EXPECT_EQ(told_.ending().how, How::stopped);
+  EXPECT_THAT(told_.ending().reason, HasSubstr("was killed"));
+}
+
+TEST_F(WorkerProcessesTest, TheNextRunFindsAWorkerThatOutlivedThePool) {
+  int process = 0;
+  {
+    Told before;
+    const auto workers = make();
+    const auto link = workers->start(order("run"), before.events());
+    ASSERT_TRUE(before.runs());
+    process = before.process();
+  }
+  std::filesystem::create_directories(state_ + "/workers/of one that has ended");
+  const auto workers = make();
+  const auto left = workers->running();
+  ASSERT_THAT(left, SizeIs(1));
+  EXPECT_EQ(left[0].place, order("run").place);
+  EXPECT_EQ(left[0].version, 1);
+  EXPECT_THAT(folders(), SizeIs(1));
+  const auto link = workers->adopt(left[0], told_.events());
+  ASSERT_TRUE(told_.runs());
+  EXPECT_EQ(told_.process(), process);
+  link->stop(tests::patience);
+  EXPECT_EQ(told_.ending().how, How::stopped);
+}
+
+TEST_F(WorkerProcessesTest, StartsNoWorkerWithoutItsLibraryOrWithOtherBytesThanWereSent) {
+  const auto workers = make();
+  auto wanted = order("run");
+  const std::string bytes = "a library";
+  wanted.version.libraries = {{"x.so", "x.so", security::sha256_hex(bytes)}};
+  try {
+    workers->start(wanted, told_.events());
+    FAIL() << "it was started";
+  } catch (const config::Error& error) {
+    EXPECT_THAT(error.what(), HasSubstr("the component library x.so"));
+  }
+  const auto upload = store_->offer({"x.so", security::sha256_hex(bytes), static_cast<std::int64_t>(bytes.size()), ""});
+  store_->add(upload, 0, bytes);
+  store_->finish(upload);
+  const auto link = workers->start(wanted, told_.events());
+  EXPECT_TRUE(told_.runs());
+  link->stop(tests::patience);
+  EXPECT_EQ(told_.ending().how, How::stopped);
+  const std::string path = *store_->path_of(security::sha256_hex(bytes));
+  std::filesystem::permissions(path, std::filesystem::perms::owner_all);
+  std::ofstream(path) << "others";
+  EXPECT_THROW(workers->start(wanted, told_.events()), config::Error);
+  EXPECT_THAT(folders(), IsEmpty());
+}
+
+}  // namespace
+}  // namespace iotcloud::topology

@@ -1,0 +1,120 @@
+#include <array>
+#include <utility>
+
+#include <fcntl.h>
+#include <poll.h>
+#include <signal.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/processes/durable_file.h>
+#include <iotcloud/processes/unix_socket.h>
+#include <iotcloud/topology/pool/logger.h>
+#include <iotcloud/topology/pool/pooled_worker.h>
+
+namespace iotcloud::topology {
+
+namespace {
+
+constexpr int look_pause_ms = 2000;  ///< the longest pause between checks of the log's size
+
+}  // namespace
+
+PooledWorker::PooledWorker(std::string folder)
+    : folder_(std::move(folder)),
+      spec_(pooled::read_spec(folder_)),
+      log_file_({spec_.log, static_cast<std::uint64_t>(spec_.log_limit_mb) << 20, spec_.logs_kept}),
+      listener_(processes::listen_in(folder_, pooled::socket_name)),
+      thread_([this](const std::stop_token& stop) { run(stop); }) {}
+
+PooledWorker::~PooledWorker() {
+  thread_.request_stop();
+  waker_.wake();
+}
+
+void PooledWorker::show(const pooled::WorkerReport& report) {
+  const config::MutexLock lock(mutex_);
+  report_ = report;
+  waker_.wake();
+}
+
+void PooledWorker::probe_with(std::function<void()> probe) {
+  const config::MutexLock lock(probing_);
+  probe_ = std::move(probe);
+}
+
+void PooledWorker::leave_word(bool refused, const std::string& reason) noexcept try {
+  const std::string path = folder_ + "/" + pooled::end_name;
+  // The pool made the file, because the worker's account may have no right to make one there.
+  const processes::OwnedDescriptor file(open(path.c_str(), O_WRONLY | O_TRUNC | O_CLOEXEC));
+  if (file) processes::write_all(file, pooled::encode(pooled::WorkerEnd{refused, reason}), path);
+} catch (const std::exception& error) {
+  pool_logger.warn("no word is left for the pool: {}", error.what());
+}
+
+void PooledWorker::run(const std::stop_token& stop) {
+  while (!stop.stop_requested()) {
+    // poll() ignores descriptor -1
+    std::array<pollfd, 3> on{{{listener_.get(), POLLIN, 0}, {waker_.get(), POLLIN, 0}, {pool_.get(), POLLIN, 0}}};
+    poll(on.data(), on.size(), look_pause_ms);
+    if (stop.stop_requested()) return;
+    try {
+      log_file_.rotate_if_too_long();
+      if (on[1].revents != 0) {
+        waker_.clear();
+        report();
+      }
+      if (on[2].revents != 0 && pool_ && !obey()) pool_.reset();
+      if (on[0].revents != 0) take_pool();
+    } catch (const std::exception& error) {
+      pool_logger.error("the pool's connection ends: {}", error.what());
+      pool_.reset();
+    }
+  }
+}
+
+void PooledWorker::take_pool() {
+  processes::OwnedDescriptor fresh = processes::accept_from(listener_);
+  if (!fresh) return;
+  if (!processes::peer_may_connect(fresh, listener_)) {
+    pool_logger.error("process {} of another user connected to this worker as if it were its pool; it is cut off",
+                      processes::peer_process(fresh));
+    return;
+  }
+  // A pool that looks who lives connects, and is gone when its next connection comes.
+  pool_ = std::move(fresh);
+  frames_ = {};
+  report();
+}
+
+void PooledWorker::report() {
+  const auto now = [this] {
+    const config::MutexLock lock(mutex_);
+    return report_;
+  }();
+  if (pool_ && !processes::send_all(pool_, pooled::frame_of(now))) pool_.reset();
+}
+
+/// \return false if the pool is gone.
+bool PooledWorker::obey() {
+  const auto bytes = processes::receive_some(pool_);
+  if (!bytes) {
+    pool_logger.warn("the pool is gone; this worker goes on and waits for it");
+    return false;
+  }
+  frames_.feed(bytes->data(), bytes->size());
+  while (const auto body = frames_.next()) {
+    if (pooled::decode_command(*body).stop) {
+      ::kill(getpid(), SIGTERM);  // run_daemon() stops the worker in order
+      continue;
+    }
+    {
+      const config::MutexLock lock(probing_);
+      if (probe_) probe_();
+    }
+    report();
+  }
+  return true;
+}
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,139 @@
+#include <cerrno>
+#include <cstring>
+#include <filesystem>
+#include <optional>
+
+#include <fmt/format.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/log_settings.h>
+#include <iotcloud/processes/durable_file.h>
+#include <iotcloud/processes/random_name.h>
+#include <iotcloud/processes/unix_socket.h>
+#include <iotcloud/security/sha256.h>
+#include <iotcloud/topology/pool/logger.h>
+#include <iotcloud/topology/pool/process_link.h>
+#include <iotcloud/topology/pool/worker_processes.h>
+
+namespace iotcloud::topology {
+
+namespace fs = std::filesystem;
+
+namespace {
+
+void make_folder(const std::string& path) {
+  if (mkdir(path.c_str(), S_IRWXU) != 0 && errno != EEXIST)
+    throw config::Error(fmt::format("the folder {} cannot be made: {}", path, std::strerror(errno)));
+}
+
+void write_file(const std::string& path, const std::string& text) {
+  processes::write_all(processes::create_file(path), text, path);
+}
+
+void remove_folder(const std::string& path) {
+  std::error_code error;
+  fs::remove_all(path, error);
+  if (error) pool_logger.warn("{} cannot be removed: {}", path, error.message());
+}
+
+}  // namespace
+
+WorkerProcesses::WorkerProcesses(Options options)
+    : options_([&options] {
+        if (options.program.empty()) options.program = processes::own_program();
+        return std::move(options);
+      }()) {
+  make_folder(options_.state_dir + "/workers");
+  make_folder(options_.state_dir + "/logs");
+}
+
+std::string WorkerProcesses::log_of(const std::string& state_folder, const discovery::PlaceId& place) {
+  return fmt::format("{}/logs/{}-{}.log", state_folder, place.topology, place.number);
+}
+
+/// The path of a library in the store, whose bytes are those of the order and, if that is required, signed.
+std::string WorkerProcesses::checked_library(const discovery::SentLibrary& library) const {
+  const auto path = options_.store->path_of(library.sha256);
+  if (!path)
+    throw config::Error(fmt::format("the component library {} (SHA-256 {}) is not in this pool", library.file,
+                                    security::short_sha256(library.sha256)));
+  const std::string content = processes::read_file(*path, 0);
+  if (security::sha256_hex(content) != library.sha256)
+    throw config::Error(fmt::format("{} has other bytes than those that were sent as {}", *path, library.file));
+  const std::string signature_path = options_.store->signature_path_of(library.sha256);
+  const std::string signature = fs::exists(signature_path) ? processes::read_file(signature_path, 0) : "";
+  options_.trust->admit(library.file, content, signature);
+  return *path;
+}
+
+std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, WorkerEvents events) {
+  pooled::WorkerSpec spec;
+  spec.pool = options_.pool;
+  spec.topology = order.place.topology;
+  spec.place = order.place.number;
+  spec.version = order.version.number;
+  for (const auto& library : order.version.libraries) spec.libraries[library.name] = checked_library(library);
+  spec.log = log_of(options_.state_dir, order.place);
+  spec.log_limit_mb = options_.log_limit_mb;
+  spec.logs_kept = options_.logs_kept;
+  const std::string folder = folder_of(processes::random_name());
+  make_folder(folder);
+  try {
+    write_file(folder + "/" + pooled::yaml_name, order.version.yaml);
+    write_file(folder + "/" + pooled::end_name, "");
+    write_file(folder + "/" + pooled::spec_name, pooled::encode(spec));
+    // clang-format off
+    std::vector<std::string> arguments = {
+        options_.program, "--pooled", folder,
+        "--config", folder + "/" + pooled::yaml_name,
+        "--stop-limit", fmt::format("{:.3f}", static_cast<double>(options_.stop_limit.count()) / 1000)};
+    // clang-format on
+    const auto as_this_process = config::log_options();
+    arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
+    processes::ChildProcess process(
+        processes::spawn(std::move(arguments), spec.log, processes::environment_of(options_.environment)), true);
+    pool_logger.info("started worker {} of topology {} as process {}; it logs to {}", spec.place, spec.topology,
+                     process.id(), spec.log);
+    return std::make_unique<ProcessLink>(ProcessLink::Options{folder, options_.ping_period, options_.hang_limit},
+                                         options_.limits, std::move(process), std::move(events));
+  } catch (const config::Error&) {
+    remove_folder(folder);
+    throw;
+  }
+}
+
+/// The worker in a folder that an earlier run left, if it lives; removes the folder of one that does not.
+std::optional<RunningWorker> WorkerProcesses::examine(const std::string& name) const {
+  const std::string folder = folder_of(name);
+  try {
+    const auto spec = pooled::read_spec(folder);
+    const auto connection = processes::connect_in(folder, pooled::socket_name);
+    const int process = connection ? processes::peer_process(connection) : 0;
+    const auto is_worker = processes::has_argument(process, folder);
+    if (process > 0 && is_worker.value_or(true)) return RunningWorker{name, spec.place_id(), spec.version};
+  } catch (const config::Error& error) {
+    pool_logger.warn("{}: {}", folder, error.what());
+  }
+  remove_folder(folder);
+  return std::nullopt;
+}
+
+std::vector<RunningWorker> WorkerProcesses::running() {
+  std::vector<RunningWorker> found;
+  std::error_code error;
+  for (const auto& entry : fs::directory_iterator(options_.state_dir + "/workers", error)) {
+    if (auto worker = examine(entry.path().filename())) found.push_back(std::move(*worker));
+  }
+  return found;
+}
+
+std::unique_ptr<WorkerLink> WorkerProcesses::adopt(const RunningWorker& worker, WorkerEvents events) {
+  const std::string folder = folder_of(worker.name);
+  const int process = processes::peer_process(processes::connect_in(folder, pooled::socket_name));
+  return std::make_unique<ProcessLink>(ProcessLink::Options{folder, options_.ping_period, options_.hang_limit},
+                                       options_.limits, processes::ChildProcess(process, false), std::move(events));
+}
+
+}  // namespace iotcloud::topology

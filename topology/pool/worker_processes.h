@@ -1,0 +1,54 @@
+#pragma once
+
+#include <chrono>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/plugin_store.h>
+#include <iotcloud/processes/vitals.h>
+#include <iotcloud/security/trusted_keys.h>
+#include <iotcloud/topology/pool/worker_launcher.h>
+
+namespace iotcloud::topology {
+
+/// Runs each worker as a process of its own, iotcloud-topology, in the folder `STATE/workers/NAME`. It survives the
+/// pool, whose next run finds it there. A worker that hangs, spins or takes too much memory is killed; that counts as a
+/// crash. Workers log to `STATE/logs/TOPOLOGY-PLACE.log`, with the format and level that this process has when it
+/// starts them. Thread safe.
+class WorkerProcesses final : public WorkerLauncher {
+ public:
+  struct Options {
+    discovery::PoolId pool;
+    std::string state_dir;                               ///< the path of a locked StateFolder
+    std::shared_ptr<processes::PluginStore> store;       ///< the component libraries that were sent; not null
+    std::shared_ptr<const security::TrustedKeys> trust;  ///< of those who may sign libraries; not null
+    std::string program;                                 ///< empty: this process's own program
+    std::chrono::milliseconds ping_period{1000};
+    std::chrono::milliseconds hang_limit{10000};  ///< a worker that has not answered for this long hangs
+    std::chrono::milliseconds stop_limit{10000};  ///< until a worker that drains gives up the rest
+    processes::VitalLimits limits{.memory_bytes = 0, .spin = std::chrono::milliseconds{0}};
+    std::vector<std::string> environment;  ///< names of variables that workers have besides the usual ones
+    int log_limit_mb = 10;                 ///< the size at which a worker's log is rotated
+    int logs_kept = 3;                     ///< number of older logs that are kept
+  };
+  /// \throws config::Error if a folder cannot be made.
+  explicit WorkerProcesses(Options options);
+
+  std::unique_ptr<WorkerLink> start(const WorkerOrder& order, WorkerEvents events) override;
+  std::vector<RunningWorker> running() override;
+  std::unique_ptr<WorkerLink> adopt(const RunningWorker& worker, WorkerEvents events) override;
+
+  /// The log of a place's workers in a state folder.
+  static std::string log_of(const std::string& state_folder, const discovery::PlaceId& place);
+
+ private:
+  std::string folder_of(const std::string& name) const { return options_.state_dir + "/workers/" + name; }
+  std::string checked_library(const discovery::SentLibrary& library) const;
+  std::optional<RunningWorker> examine(const std::string& name) const;
+
+  const Options options_;
+};
+
+}  // namespace iotcloud::topology

@@ -1,0 +1,79 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+
+#include <iotcloud/discovery/description/fields.h>
+#include <iotcloud/discovery/ids.h>
+#include <iotcloud/discovery/submissions.h>
+
+/// What a pool and a worker that it started tell each other: files in the worker's folder, and frames of JSON
+/// (processes/frames.h) on the socket there, on which the worker listens.
+namespace iotcloud::topology::pooled {
+
+/// Names in a worker's folder.
+inline constexpr const char* spec_name = "worker.json";
+inline constexpr const char* yaml_name = "topology.yaml";
+inline constexpr const char* end_name = "end.json";
+inline constexpr const char* socket_name = "control.sock";
+
+/// The file `worker.json`: what the pool wants of the worker. A pool that finds the worker of its former run reads it
+/// again.
+struct WorkerSpec {
+  discovery::PoolId pool;
+  discovery::TopologyName topology;
+  int place = 0;
+  std::int64_t version = 0;
+  std::map<std::string, std::string> libraries;  ///< paths of component libraries, by how the YAML names them
+  std::string log;                               ///< the file that stdout and stderr go to
+  int log_limit_mb = 10;
+  int logs_kept = 3;
+  static constexpr const char* what = "a pool's order to a worker";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(pool, required),      IOTCLOUD_FIELD(topology, required),
+                                            IOTCLOUD_FIELD(place, required),     IOTCLOUD_FIELD(version, usual),
+                                            IOTCLOUD_FIELD(libraries, usual),    IOTCLOUD_FIELD(log, usual),
+                                            IOTCLOUD_FIELD(log_limit_mb, usual), IOTCLOUD_FIELD(logs_kept, usual)};
+  discovery::PlaceId place_id() const { return {topology, place}; }
+};
+
+/// The file `end.json`, which the pool makes and the worker fills: why the worker ends. It stays empty when the worker
+/// crashes, or ends because it was told to.
+struct WorkerEnd {
+  bool refused = false;  ///< the topology cannot run here: to start it again would not help
+  std::string reason;
+  static constexpr const char* what = "a worker's end";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(refused, usual), IOTCLOUD_FIELD(reason, required)};
+};
+
+/// A frame of the worker: its state, at once when a pool connects, after each change, and as the answer to a ping.
+struct WorkerReport {
+  bool runs = false;   ///< the topology runs
+  std::string worker;  ///< WorkerRecord::name; empty: it is not known yet
+  static constexpr const char* what = "a worker's report";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(runs, required), IOTCLOUD_FIELD(worker, usual)};
+};
+
+/// A frame of the pool.
+struct PoolCommand {
+  bool stop = false;  ///< drain and end; else a ping, which asks for a report
+  static constexpr const char* what = "a pool's command";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(stop, required)};
+};
+
+std::string encode(const WorkerSpec& spec);
+std::string encode(const WorkerEnd& end);
+/// Frames.
+std::string frame_of(const WorkerReport& report);
+std::string frame_of(const PoolCommand& command);
+
+/// \throws config::Error if there is no such file, or it does not say that.
+WorkerSpec read_spec(const std::string& folder);
+/// nullopt: the worker has left no word.
+std::optional<WorkerEnd> read_end(const std::string& folder);
+/// From a frame's body. \throws config::Error if it is none.
+WorkerReport decode_report(const std::string& body);
+PoolCommand decode_command(const std::string& body);
+
+}  // namespace iotcloud::topology::pooled
