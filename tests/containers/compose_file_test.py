@@ -99,7 +99,7 @@ def problems_of_configurations():
             if name == "rabbitmq" and (not broker["urls"][0].startswith("amqps://") or not broker.get("tls", {}).get("ca")):
                 yield f"{file.name} comes to {name} without TLS"
     expected = directives(ROOT / "deploy/systemd/registry-tunnel.conf") - {"connect = zk1:2281", "checkHost = zk1"}
-    expected = {line.replace("/etc/iotcloud/lab1", "/run/secrets/host").replace("/etc/iotcloud", "/run/secrets") for line in expected}
+    expected = {line.replace("/etc/iotcloud/lab1-tunnel", "/run/secrets/host").replace("/etc/iotcloud", "/run/secrets") for line in expected}
     expected |= {"connect = registry-tls:2281", "checkHost = registry-tls", "delay = yes"}
     if directives(folder / "registry-tunnel.conf") != expected:
         yield f"registry-tunnel.conf differs from the shipped one: {directives(folder / 'registry-tunnel.conf') ^ expected}"
