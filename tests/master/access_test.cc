@@ -1,4 +1,5 @@
 // Who may do what with the master's API: tokens, roles, and what is written down of it.
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <future>
@@ -524,8 +525,8 @@ TEST_F(LimitedAccess, OneTokenHasSoManyConnectionsAndTakesNobodysPlace) {
   auto operating = connect(operating_);  // the server looks when the next one comes
   EXPECT_TRUE(is_answered(operating));
   EXPECT_TRUE(is_answered(admin));
-  for (std::size_t i = 0; i < 16; ++i) EXPECT_TRUE(is_closed(all[i])) << i;
-  for (std::size_t i = 17; i < 20; ++i) EXPECT_TRUE(is_answered(all[i])) << i;
+  // Which three depends on when their threads noted that they were idle.
+  EXPECT_EQ(std::count_if(all.begin(), all.end(), [](auto& client) { return is_answered(client); }), 3);
 }
 
 TEST_F(LimitedAccess, OneThatSaysNothingIsClosedWithATokenToo) {
