@@ -14,21 +14,38 @@ namespace iotcloud::discovery {
 
 namespace {
 
-/// Refuses a registry of another machine that does not know who writes to it: whoever reaches it could give orders.
-void refuse_exposed(const zookeeper::Url& url) {
+/// Refuses a registry of another machine that does not know who writes to it: whoever reaches it could give orders. One
+/// that does is refused too, unless the configuration says that its way is protected: whoever reads the network would
+/// have the user's password.
+void refuse_exposed(const RegistryOptions& options, const zookeeper::Url& url) {
+  if (!options.user.empty() && options.unencrypted) return;
   for (std::size_t begin = 0; begin < url.hosts.size();) {
     const std::size_t end = std::min(url.hosts.find(',', begin), url.hosts.size());
     const std::string server = url.hosts.substr(begin, end - begin);
     std::string host = server.substr(0, server.rfind(':'));
     if (host.starts_with('[') && host.ends_with(']')) host = host.substr(1, host.size() - 2);
     if (!config::is_loopback(host)) {
-      throw config::Error("the registry " + server +
-                          " can be reached from other machines, and without a user anybody there could give orders: "
-                          "give \"registry.user\" and \"registry.password_file\", or tunnel it to an address on "
-                          "127.0.0.1 (discovery/README.md)");
+      const std::string tunnel = "tunnel it to an address on 127.0.0.1 (discovery/README.md)";
+      throw config::Error(
+          "the registry " + server +
+          (options.user.empty()
+               ? " can be reached from other machines, and without a user anybody there could give orders: " + tunnel +
+                     ", and give \"registry.user\" and \"registry.password_file\""
+               : " is on another machine, and there is no TLS on the way to it: whoever reads the network has the "
+                 "password of \"" +
+                     options.user + "\". Better " + tunnel +
+                     ", or say \"registry.unencrypted: true\" if something else protects the way, such as WireGuard"));
     }
     begin = end + 1;
   }
+}
+
+void warn_of_shared_user(const RegistryOptions& options) {
+  logger.warn(
+      "{}: all processes with the user \"{}\" have one password, and whoever takes it from one of them writes orders "
+      "for all. Give each process a user of its own: \"registry.users\" (`iotcloud registry user`, "
+      "discovery/README.md)",
+      options.url, options.user);
 }
 
 void warn_of_open(const std::string& url) {
@@ -61,10 +78,9 @@ std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
   }
   if (options.url.starts_with("zookeeper://")) {
     zookeeper::Settings settings = settings_of(options);
-    if (options.user.empty()) {
-      refuse_exposed(settings.url);
-      if (!options.open) warn_of_open(options.url);
-    }
+    refuse_exposed(options, settings.url);
+    if (options.user.empty() && !options.open) warn_of_open(options.url);
+    if (!options.user.empty() && !options.access) warn_of_shared_user(options);
     return make_client(zookeeper::make_connection(std::move(settings)), options);
   }
   throw config::Error("registry URL \"" + options.url +
@@ -77,7 +93,9 @@ RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
     throw config::Error("the registry " + options.url + " has no rights to renew; only ZooKeeper has");
   if (!options.access || !options.access->is_master(options.user))
     throw config::Error("rights are renewed by a master of the fleet's users");
-  return zookeeper::renew_rights(settings_of(options), paths, options.operation_timeout, progress);
+  const auto settings = settings_of(options);
+  refuse_exposed(options, settings.url);
+  return zookeeper::renew_rights(settings, paths, options.operation_timeout, progress);
 }
 
 void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence) {

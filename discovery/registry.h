@@ -143,6 +143,9 @@ struct RegistryOptions {
   /// The configuration says that a ZooKeeper without users, to which every process of this machine may write, is
   /// wanted: the log does not warn of it.
   bool open = false;
+  /// The configuration says that something else protects the way to a ZooKeeper on another machine, to which this
+  /// client sends everything, the user's password too, without TLS.
+  bool unencrypted = false;
 };
 
 /// Returns at once and connects in the background, without a limit in time. \throws config::Error for a malformed URL,

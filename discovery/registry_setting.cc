@@ -63,6 +63,7 @@ RegistryOptions read_registry_options(config::YamlSection& top) {
   options.password = read_password(top);
   options.others_may_read = top.bool_or("registry.others_may_read", false);
   options.open = top.bool_or("registry.open", false);
+  options.unencrypted = top.bool_or("registry.unencrypted", false);
   const bool password_given = top.has("registry.password_file") || top.has("registry.password_variable");
   if (options.user.empty() == password_given) {
     top.refuse(options.user.empty() ? "" : "registry.user", "a user of the registry and a password belong together",
@@ -74,6 +75,10 @@ RegistryOptions read_registry_options(config::YamlSection& top) {
   if (const auto file = top.optional_string("registry.users")) options.access = read_access(top, *file, options.user);
   if (options.others_may_read && options.user.empty()) {
     top.refuse("registry.others_may_read", "without a user everybody may read and write anyway",
+               "add \"registry.user\", or remove this");
+  }
+  if (options.unencrypted && options.user.empty()) {
+    top.refuse("registry.unencrypted", "without a user no registry of another machine is taken, whatever the way to it",
                "add \"registry.user\", or remove this");
   }
   if (options.open && !options.user.empty()) {

@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cstdint>
 #include <filesystem>
 #include <optional>
@@ -8,6 +9,8 @@
 #include <unistd.h>
 
 #include <iotcloud/brokers/broker_setting.h>
+#include <iotcloud/brokers/broker_url.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
@@ -234,6 +237,27 @@ void check_id(config::YamlSection& file, const GatewayOptions& gateway) {
   }
 }
 
+/// A channel's record names the broker's URL as it stands in the file, and every process of the fleet reads it: with
+/// users of their own at the registry they are not to have one another's password of a broker. One on loopback is of
+/// another use on each machine, such as RabbitMQ's guest.
+void check_published_urls(config::YamlSection& file, const GatewayConfig& config) {
+  if (!config.registry.access) return;
+  for (const auto& broker : config.gateway.brokers) {
+    const auto& urls = broker.options.urls;
+    const auto found = std::find_if(urls.begin(), urls.end(), [&](const std::string& url) {
+      brokers::BrokerUrl parts;
+      checked(file, "brokers", [&] { parts = brokers::parse_broker_url(url); });
+      return !parts.password.empty() && !config::is_loopback(parts.host);
+    });
+    if (found == urls.end()) continue;
+    file.refuse("brokers",
+                fmt::format("the broker \"{}\" has its password in the URL {}, which the records of channels show to "
+                            "every gateway and worker of \"registry.users\"",
+                            broker.name, brokers::printable_url(*found)),
+                "give `user` and `password_file`, and the URL without them");
+  }
+}
+
 GatewayConfig read_gateway(config::YamlSection& file) {
   GatewayConfig config;
   auto& gateway = config.gateway;
@@ -247,6 +271,7 @@ GatewayConfig read_gateway(config::YamlSection& file) {
   gateway.paths = discovery::Paths(file.string_or("zk.root", "/iot/sensors"));
   gateway.brokers = read_brokers(file, gateway.session_timeout);
   check_id(file, gateway);
+  check_published_urls(file, config);
   read_thrift(file, config);
   config.audit = security::read_audit(file);
   read_plugins(file, config);

@@ -100,14 +100,22 @@ void Authority::make() const {
 }
 
 void Authority::certify_host(const std::string& host, const std::vector<std::string>& gateways) const {
-  check_name(host);
-  std::string names =
-      fmt::format("{}:{},DNS:localhost,IP:127.0.0.1,IP:::1", config::is_address(host) ? "IP" : "DNS", host);
+  certify_daemon(host, {host}, gateways);
+}
+
+void Authority::certify_daemon(const std::string& name, const std::vector<std::string>& hosts,
+                               const std::vector<std::string>& gateways) const {
+  std::string names;
+  for (const auto& host : hosts) {
+    check_name(host);
+    names += fmt::format("{}:{},", config::is_address(host) ? "IP" : "DNS", host);
+  }
+  names += "DNS:localhost,IP:127.0.0.1,IP:::1";
   for (const auto& gateway : gateways) {
     check_name(gateway);
     names += ",URI:" + gateway_name(gateway);
   }
-  certify(*this, host, "serverAuth,clientAuth", names);
+  certify(*this, name, "serverAuth,clientAuth", names);
 }
 
 void Authority::certify_caller(const std::string& name) const {

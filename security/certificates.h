@@ -18,6 +18,11 @@ struct Authority {
   /// \param gateways ids of the gateways on that machine, unless the only one is named as the machine: masters send
   /// their tokens only to a gateway whose certificate names it.
   void certify_host(const std::string& host, const std::vector<std::string>& gateways = {}) const;
+  /// As certify_host(), with a name and a key of its own for one of a machine's daemons: whoever has taken over that
+  /// daemon has no other one's certificate. \param name the common name, and that of the files: letters, digits, '-',
+  /// '_', '.'; clients do not reach it under this name. \param hosts the machine's names and addresses.
+  void certify_daemon(const std::string& name, const std::vector<std::string>& hosts,
+                      const std::vector<std::string>& gateways = {}) const;
   /// Makes a certificate for a client, valid for two years. \param name letters, digits, '-', '_' and '.'.
   void certify_caller(const std::string& name) const;
 

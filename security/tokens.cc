@@ -263,7 +263,7 @@ constexpr std::int64_t seconds_a_day = 24 * 3600;
 constexpr std::int64_t warning_s = 14 * seconds_a_day;
 
 std::string how_to_renew(const std::string& name, const std::string& file) {
-  return fmt::format("`iotcloud token renew {} --days N --file {}`, and SIGHUP to the daemon", name, file);
+  return fmt::format("`iotcloud token renew {} --days N --file {}`", name, file);
 }
 
 }  // namespace
@@ -277,6 +277,7 @@ TokenKeeper::TokenKeeper(std::string file, const std::string& service, const con
 }
 
 void TokenKeeper::measure(const std::string& service, std::vector<config::Sample>& samples) const {
+  look();
   const config::ReadLock lock(mutex_);
   for (const auto& [name, entry] : entries_) {
     if (entry.expires_s == 0) continue;
@@ -301,6 +302,34 @@ void TokenKeeper::warn_of_end(const TokenEntry& entry) const {
 }
 
 void TokenKeeper::reload() {
+  read();
+}
+
+/// Reads the file if it was replaced since it was last read.
+void TokenKeeper::look() const {
+  {
+    const config::MutexLock lock(looking_);
+    const auto now = clock_.now();
+    if (now < next_look_) return;
+    next_look_ = now + look_period;
+    if (seen_ == config::stamp_of(file_)) return;
+  }
+  try {
+    read();
+    access_logger.info("read the token file {} again", file_);
+  } catch (const config::Error& e) {
+    access_logger.error("the tokens that were read before still count: {}", e.what());
+  }
+}
+
+void TokenKeeper::read() const {
+  {
+    // Before the file is read: look() notices one that is replaced meanwhile, and reads one that is of no use again
+    // only when it has changed.
+    const config::MutexLock lock(looking_);
+    seen_ = config::stamp_of(file_);
+    next_look_ = clock_.now() + look_period;
+  }
   std::map<std::string, TokenEntry> read;
   for (auto& entry : read_tokens(file_)) read[entry.name] = entry;
   if (read.empty())
@@ -313,6 +342,7 @@ void TokenKeeper::reload() {
 
 /// The entry of the name with which the token begins.
 std::optional<TokenEntry> TokenKeeper::named_by(const std::string& token) const {
+  look();
   const auto dot = token.find('.');
   if (dot == std::string::npos) return std::nullopt;
   const config::ReadLock lock(mutex_);
@@ -367,6 +397,7 @@ std::optional<TokenEntry> TokenKeeper::holder(const std::string& token, const st
 }
 
 std::optional<Role> TokenKeeper::role_of(const TokenEntry& entry) const {
+  look();
   const config::ReadLock lock(mutex_);
   const auto at = entries_.find(entry.name);
   if (at == entries_.end() || at->second.hash != entry.hash || at->second.certificate != entry.certificate ||

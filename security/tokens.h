@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -7,6 +8,7 @@
 #include <vector>
 
 #include <iotcloud/config/clock.h>
+#include <iotcloud/config/file_stamp.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/config/mutex.h>
 
@@ -57,10 +59,13 @@ std::string expiry_text(std::int64_t expires_s);
 /// \return whether a token of that name was removed. \throws Error
 bool remove_token(const std::string& file, const std::string& name);
 
-/// Finds the owner of a token. An expired token has no owner. Logs a warning of tokens that expire within two weeks,
+/// Finds the owner of a token. An expired token has no owner. A file that was replaced is read again by itself: what is
+/// asked `look_period` later gets the new file's answer. One that is of no use changes nothing, and is logged. Logs a
+/// warning of tokens that expire within two weeks,
 /// when it reads the file and when a client shows such a token. Thread safe.
 class TokenKeeper {
  public:
+  static constexpr std::chrono::milliseconds look_period{250};
   /// \param service of the metric iotcloud_token_days_left{service, token}; empty: there is none
   /// \param clock must outlive the keeper
   /// \throws Error as read_tokens().
@@ -82,6 +87,8 @@ class TokenKeeper {
   std::optional<Role> role_of(const TokenEntry& entry) const;
 
  private:
+  void look() const;
+  void read() const;
   void warn_of_end(const TokenEntry& entry) const;
   void measure(const std::string& service, std::vector<config::Sample>& samples) const;
   bool is_over(const TokenEntry& entry) const;
@@ -97,9 +104,12 @@ class TokenKeeper {
   const std::string file_;
   const config::Clock& clock_;
   mutable config::SharedMutex mutex_;
-  std::map<std::string, TokenEntry> entries_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by name
-  mutable config::Mutex hashing_;                                          ///< one hash at a time: each takes 16 MiB
-  const std::string secret_;  ///< of this process, so that its digests of tokens tell nothing elsewhere
+  mutable std::map<std::string, TokenEntry> entries_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by name
+  mutable config::Mutex looking_;
+  mutable config::FileStamp seen_ IOTCLOUD_GUARDED_BY(looking_){};  ///< of the file, before it was read
+  mutable config::Clock::Instant next_look_ IOTCLOUD_GUARDED_BY(looking_){};
+  mutable config::Mutex hashing_;  ///< one hash at a time: each takes 16 MiB
+  const std::string secret_;       ///< of this process, so that its digests of tokens tell nothing elsewhere
   mutable config::Mutex verifying_;
   mutable std::map<std::string, Verified> verified_ IOTCLOUD_GUARDED_BY(verifying_);  ///< the last of each name
   config::Metrics::SourceRegistration days_left_;                                     ///< last: it reads the entries

@@ -17,6 +17,8 @@ import sys
 import time
 from pathlib import Path
 
+import revocation
+
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "build" / "cluster"
 SECRETS = OUT / "secrets"
@@ -443,6 +445,9 @@ def certs(given):
     done = run(docker.once("secrets", "certs", given.verb, "/secrets", *given.words))
     if done.returncode:
         raise Refused(f"iotcloud certs {given.verb} failed with status {done.returncode}")
+    gone = [holder for holder in given.words if holder in GATEWAYS] if given.verb == "revoke" else []
+    for gateway in gone:
+        revocation.forget(SECRETS / "authority", gateway)
     distribute(SECRETS)
     # Daemons look by themselves within seconds; the tunnels read their files again only when they are told. They are told from
     # inside: a container that `docker kill` has sent a signal, whichever, is not started again when it dies later.
@@ -459,6 +464,30 @@ def certs(given):
     if untold:
         raise Refused("not told of the new files, so run the command again once they are well: " + "; ".join(untold))
     say(f"given to {len(running)} containers, which go on with them")
+    if given.verb == "revoke":
+        cut_off(docker, gone)
+
+
+def cut_off(docker, gateways):
+    """Ends what holders of revoked certificates still have: a tunnel that was open, and gateways' users."""
+    running = {service: container["Id"] for service, container in docker.containers().items() if container["State"]["Running"]}
+    for gateway in gateways:
+        master = next((master for master in MASTERS if master in running), MASTERS[0])
+        for service, command in revocation.commands(gateway, master):
+            if service in running:
+                try:
+                    asked(["docker", "exec", running[service], *command])
+                except Refused as why:
+                    if "does not exist" not in str(why):  # a user who went before
+                        raise
+            elif service != "kafka":
+                raise Refused(f"{gateway} keeps its user of {service}, which does not run: run the command again once it does")
+        say(f"{gateway} has no user at the brokers and in the registry any more; another gateway takes its place after "
+            "`./dev cluster down` and `up`")
+    if "registry-tls" in running:
+        # Sessions outlive the seconds that it takes.
+        asked(["docker", "restart", running["registry-tls"]])
+        say("the tunnels to the registry are open anew, for those who may")
 
 
 def down(given):

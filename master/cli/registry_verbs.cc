@@ -290,6 +290,7 @@ class RenewRights final : public Verb {
         ->type_name("FILE");
     options.add_option("--users", users_, "the fleet's users")->required()->type_name("FILE");
     options.add_option("--root", root_, "zk.root of the fleet's files")->type_name("PATH");
+    options.add_flag("--unencrypted", options_.unencrypted, "as registry.unencrypted of the fleet's files");
     options.add_flag("--others-may-read", options_.others_may_read, "as registry.others_may_read of the fleet's files");
   }
   int run(Call& call) override {

@@ -46,7 +46,9 @@ class Certs final : public Verb {
                            "an operator. Overwrites nothing, and says what to do next",
                            "iotcloud certs init certs --host lab1 lab2", std::nullopt, false}
                     : Card{"add", "Make more certificates of an authority",
-                           "iotcloud certs add certs --host lab3\n  iotcloud certs add certs --caller anna",
+                           "iotcloud certs add certs --host lab3\n"
+                           "  iotcloud certs add certs --host lab3 --daemon lab3-gateway --gateway gateway-3\n"
+                           "  iotcloud certs add certs --caller anna",
                            std::nullopt, false}),
         is_new_(is_new) {}
 
@@ -65,6 +67,12 @@ class Certs final : public Verb {
       hosts.required();
       return;
     }
+    options
+        .add_option("--daemon", daemon_,
+                    "one certificate for one of that machine's daemons, by this name: on a machine with several, who "
+                    "takes over one has not those of the others. --host then gives all names of that one machine")
+        ->needs(&hosts)
+        ->type_name("NAME");
     options.add_option("--caller", callers_, "people and programs that call daemons")
         ->delimiter(',')
         ->type_name("CALLER");
@@ -75,17 +83,22 @@ class Certs final : public Verb {
     const security::Authority authority{std::filesystem::absolute(folder_).lexically_normal().string()};
     auto callers = callers_;
     if (is_new_) callers.emplace_back(usual_caller);
-    auto names = hosts_;
+    const auto servers = daemon_.empty() ? hosts_ : std::vector{daemon_};
+    auto names = servers;
     names.insert(names.end(), callers.begin(), callers.end());
     if (is_new_) names.emplace_back("ca");
     check_free(authority, names);
-    if (!gateways_.empty() && hosts_.size() != 1)
+    if (!gateways_.empty() && servers.size() != 1)
       throw config::Error("--gateway names the gateways of one machine: give one --host, and `certs add` the others");
     if (is_new_) {
       authority.make();
       security::make_revocations(authority);
     }
-    for (const auto& host : hosts_) authority.certify_host(host, gateways_);
+    if (daemon_.empty()) {
+      for (const auto& host : hosts_) authority.certify_host(host, gateways_);
+    } else {
+      authority.certify_daemon(daemon_, hosts_, gateways_);
+    }
     for (const auto& caller : callers) authority.certify_caller(caller);
 
     const auto& folder = authority.folder;
@@ -95,8 +108,9 @@ class Certs final : public Verb {
           "{}/ca.key       makes more certificates: keep it here, or better offline\n",
           folder, folder);
     }
-    for (const auto& host : hosts_)
-      call.out << fmt::format("{0}/{1}.pem, {1}.key  for the daemons on {1}\n", folder, host);
+    for (const auto& server : servers)
+      call.out << fmt::format("{0}/{1}.pem, {1}.key  for {2}{1}\n", folder, server,
+                              daemon_.empty() ? "the daemons on " : "");
     for (const auto& caller : callers)
       call.out << fmt::format("{0}/{1}.pem, {1}.key  for {1}, who calls them\n", folder, caller);
     call.out
@@ -105,9 +119,9 @@ class Certs final : public Verb {
     const std::string host = hosts_.empty() ? "HOST" : hosts_.front();
     call.out << fmt::format(
         "  host: 0.0.0.0\n  advertise: \"{0}:PORT\"\n"
-        "  tls: {{ca: {1}/ca.pem, certificate: {1}/{0}.pem, key: {1}/{0}.key}}\n"
+        "  tls: {{ca: {1}/ca.pem, certificate: {1}/{2}.pem, key: {1}/{2}.key}}\n"
         "  tokens: {1}/tokens\n",
-        host, folder);
+        host, folder, servers.empty() ? host : servers.front());
     call.out << fmt::format("Then:\n  iotcloud token add NAME --role admin --file {}/tokens\n", folder);
     call.out << fmt::format(
         "  iotcloud --master {0}:12904 --ca {1}/ca.pem --certificate {1}/{2}.pem --key {1}/{2}.key "
@@ -120,6 +134,7 @@ class Certs final : public Verb {
   const bool is_new_;
   std::string folder_;
   std::vector<std::string> hosts_;
+  std::string daemon_;  ///< whose certificate it is, if not that of all daemons on the host
   std::vector<std::string> gateways_;
   std::vector<std::string> callers_;  ///< users, whose certificates are for clients only
 };
@@ -247,8 +262,7 @@ class AddToken final : public OfTokens {
 class RenewToken final : public OfTokens {
  public:
   RenewToken()
-      : OfTokens({"renew",
-                  "Let a token count for longer: the holder keeps it. Daemons notice at SIGHUP (systemctl reload)",
+      : OfTokens({"renew", "Let a token count for longer: the holder keeps it. Daemons notice within seconds",
                   "iotcloud token renew anna --days 365 --file tokens", std::nullopt, false}) {}
   void declare(CLI::App& options) override {
     declare_holder(options, "whose");
@@ -273,7 +287,7 @@ class RenewToken final : public OfTokens {
 class RemoveToken final : public OfTokens {
  public:
   RemoveToken()
-      : OfTokens({"remove", "Take a token away; daemons notice at SIGHUP (systemctl reload)",
+      : OfTokens({"remove", "Take a token away; daemons notice within seconds, also on open connections",
                   "iotcloud token remove anna --file tokens", std::nullopt, false}) {}
   void declare(CLI::App& options) override {
     declare_holder(options, "whose");

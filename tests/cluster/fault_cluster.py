@@ -95,7 +95,7 @@ class FaultCluster(PrivateCluster):
     def daemon(self, program, name, configuration, enter=(), options=()):
         if not self.guarded:
             return super().daemon(program, name, configuration, enter, options)
-        user = f"registry.user: fleet\nregistry.password_file: {self.password}\n"
+        user = f"registry.user: fleet\nregistry.password_file: {self.password}\nregistry.unencrypted: true\n"
         return super().daemon(program, name, configuration.lstrip() + "\n" + user, enter, options)
 
     def order(self, command):

@@ -99,7 +99,7 @@ def problems_of_configurations():
             if name == "rabbitmq" and (not broker["urls"][0].startswith("amqps://") or not broker.get("tls", {}).get("ca")):
                 yield f"{file.name} comes to {name} without TLS"
     expected = directives(ROOT / "deploy/systemd/registry-tunnel.conf") - {"connect = zk1:2281", "checkHost = zk1"}
-    expected = {line.replace("/etc/iotcloud/lab1", "/run/secrets/host").replace("/etc/iotcloud", "/run/secrets") for line in expected}
+    expected = {line.replace("/etc/iotcloud/lab1-tunnel", "/run/secrets/host").replace("/etc/iotcloud", "/run/secrets") for line in expected}
     expected |= {"connect = registry-tls:2281", "checkHost = registry-tls", "delay = yes"}
     if directives(folder / "registry-tunnel.conf") != expected:
         yield f"registry-tunnel.conf differs from the shipped one: {directives(folder / 'registry-tunnel.conf') ^ expected}"
@@ -270,6 +270,61 @@ def check_that_renewal_is_told(file):
         sys.exit(f"`./dev cluster certs` tells {commands}, and {sorted(holders)} have certificates")
 
 
+def commands_of_revocation(folder, holder, services):
+    """What Docker is told by `./dev cluster certs revoke HOLDER`, beside what it is told by `renew`, while these services run."""
+    commands = []
+    containers = {name: {"Id": f"id-of-{name}", "State": {"Running": True}} for name in services}
+    docker = types.SimpleNamespace(containers=lambda: containers, once=lambda *_: [], compose=lambda *words: ["compose", *words])
+    with mock.patch.multiple(cluster, Docker=lambda: docker, run=lambda *_, **__: types.SimpleNamespace(returncode=0),
+                             asked=commands.append, SECRETS=folder, distribute=lambda _: None, say=lambda *_: None):
+        cluster.certs(types.SimpleNamespace(verb="revoke", words=[holder]))
+        told = len(commands)
+        commands.clear()
+        cluster.certs(types.SimpleNamespace(verb="renew", words=[holder]))
+        renewed = len(commands)
+        commands.clear()
+        cluster.certs(types.SimpleNamespace(verb="revoke", words=[holder]))
+    if told != len(commands):
+        sys.exit(f"a second `./dev cluster certs revoke` does other things: {commands}")
+    return [" ".join(command) for command in commands[renewed:]]
+
+
+def check_revocation():
+    """`./dev cluster certs revoke` ends what is open by way of the tunnel, and a gateway's users at the brokers and in the registry."""
+    restart = "docker restart id-of-registry-tls"
+    with tempfile.TemporaryDirectory() as work:
+        folder = Path(work)
+        (folder / "authority").mkdir()
+        files = {"rabbitmq.users.json": cluster.rabbitmq_users(dict.fromkeys(cluster.RABBITMQ_USERS, "sesame")),
+                 "kafka.server.jaas": cluster.kafka_users(dict.fromkeys([*cluster.KAFKA_USERS, "admin"], "sesame")),
+                 "registry.users": "master master-1:d=\ngateway gateway-1:d=\ngateway gateway-2:d=\nworker workers:d=\n"}
+        for name, text in files.items():
+            (folder / "authority" / name).write_text(text, encoding="utf-8")
+        told = commands_of_revocation(folder, "topology-2", SERVICES)
+        if told != [restart] or any((folder / "authority" / name).read_text() != text for name, text in files.items()):
+            sys.exit(f"a revoked worker, whose users others share: {told}")
+        told = commands_of_revocation(folder, "gateway-1", SERVICES)
+        expected = ["id-of-rabbitmq rabbitmqctl delete_user gateway-1", "id-of-rabbitmq rabbitmqctl delete_user gateway-1-reads",
+                    "id-of-kafka env", "id-of-master-1 iotcloud registry rights", restart]
+        if len(told) != len(expected) or not all(start in line for start, line in zip(expected, told)):
+            sys.exit(f"a revoked gateway: {told}")
+        if "--remove --force --allow-principal User:gateway-1 " not in told[2]:
+            sys.exit(f"Kafka's rules for a revoked gateway: {told[2]}")
+        small = commands_of_revocation(folder, "gateway-1", SERVICES - {"kafka"})
+        if small != [told[0], told[1], *told[3:]]:
+            sys.exit(f"a revoked gateway without Kafka: {small}")
+        for name, text in files.items():
+            left = (folder / "authority" / name).read_text(encoding="utf-8")
+            if name.endswith(".json"):
+                kept = {kind: [one for one in every if not {"gateway-1", "gateway-1-reads"} & set(one.values())]
+                        for kind, every in json.loads(text).items()}
+                good = json.loads(left) == kept
+            else:
+                good = left.splitlines() == [line for line in text.splitlines() if "gateway-1" not in line]
+            if not good:
+                sys.exit(f"{name} after the revocation of gateway-1:\n{left}")
+
+
 def check_down(file):
     """`./dev cluster down` takes the services of all profiles away."""
     profiles = {profile for service in file["services"].values() for profile in service.get("profiles", [])}
@@ -296,6 +351,7 @@ def main():
     check_that_it_finds(file)
     check_down(file)
     check_that_renewal_is_told(file)
+    check_revocation()
     check_brokers_users()
     check_kafkas_users()
     check_renewal()

@@ -2,7 +2,8 @@
 """The shipped units of the gateway and of its driver hosts, under a systemd of their own (booted.py).
 
 - With `--hosts-as iotcloud-host`: a driver runs as another user than its gateway, neither of them root, and reaches neither
-  its secrets nor its process, nor an address that the unit does not allow. Without it does, which shows that the attacks are some.
+  its secrets nor its process, nor an address that the unit does not allow, and starts no more processes than the unit says.
+  Without it does, which shows that the attacks are some.
 - A gateway that is killed is started again; its host has lived on and is adopted. A host that hangs, which its gateway has
   no right to signal, is ended and started again. When systemd stops the gateway, its hosts end.
 
@@ -21,14 +22,18 @@ from private_cluster import free_port, require, wait_for
 UNIT, HOST_UNITS = "iotcloud-gateway.service", ["iotcloud-host.socket", "iotcloud-host@.service"]
 # What a driver may do to its gateway, and what comes of it if it is another user. In /proc it does not even see it.
 ATTACKS = {"signal_to_victim": "EPERM", "ptrace_of_victim": "EPERM", "memory_of_victim": "ENOENT", "environment_of_victim": "ENOENT",
-           "secret_file": "EACCES", "forbidden_file": "EACCES", "root_again": "EPERM", "near": "ok", "far": "EPERM"}
+           "secret_file": "EACCES", "forbidden_file": "EACCES", "root_again": "EPERM", "near": "ok", "far": "EPERM",
+           "next_child": "EAGAIN"}
 # Those that succeed against a gateway of the same user, on every machine.
-SUCCEED = ["signal_to_victim", "environment_of_victim", "secret_file", "forbidden_file"]
+SUCCEED = ["signal_to_victim", "environment_of_victim", "secret_file", "forbidden_file", "next_child"]
 
-NETWORK = """
+# A limit that is reached soon; units_test.py looks that the unit has one.
+CHILDREN = 200
+DROP_IN_OF_HOSTS = f"""
 [Service]
 IPAddressDeny=any
 IPAddressAllow=127.0.0.2
+TasksMax={CHILDREN}
 """
 HOST_USER = "host_user: iotcloud-host\nhost_starter: /run/iotcloud-host"
 DROP_IN = """
@@ -41,7 +46,7 @@ ReadWritePaths=/run
 class Machine(BootedCluster):
     def boot_gateway(self, units, test_plugins, kill_mode, hosts_as):
         """systemd with the units of the gateway and its hosts; the programs' paths in them are other ones."""
-        known = {"iotcloud-host@.service.d/network.conf": NETWORK}
+        known = {"iotcloud-host@.service.d/limits.conf": DROP_IN_OF_HOSTS}
         for unit in [UNIT, *HOST_UNITS]:
             text = with_own_programs((units / unit).read_text()).replace("/etc/iotcloud/", "/opt/iotcloud/")
             if kill_mode:
@@ -90,7 +95,8 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
         inside = status_of(self.gateway(), "NSpid")[-1]
         self.deploy("confined.so", "gateway-1", {"victim": inside, "near": "127.0.0.2", "far": "127.0.0.3",
                                                  "secret_file": "/opt/iotcloud/tokens",
-                                                 "forbidden_file": "/var/lib/iotcloud-gateway/state/id"})
+                                                 "forbidden_file": "/var/lib/iotcloud-gateway/state/id",
+                                                 "children": CHILDREN})
         wait_for("the probe is active", lambda: self.driver("confined")["state"] == "active")
         wait_for("the probe has reported", lambda: "user" in self.metadata())
         return self.metadata()
@@ -133,7 +139,11 @@ def main():
         facts = machine.attack()
         if given.hosts_as:
             check_users(machine)
-        for what, outcome in ATTACKS.items() if given.hosts_as else dict.fromkeys(SUCCEED, "ok").items():
+        expected = dict(ATTACKS) if given.hosts_as else dict.fromkeys(SUCCEED, "ok")
+        if not machine.space.counts_processes():
+            print("NOT SHOWN: TasksMax, because no group here counts processes")
+            del expected["next_child"]
+        for what, outcome in expected.items():
             require(facts.get(what) == outcome, f"a driver's {what} has the outcome {facts.get(what)}")
         machine.cli("undeploy", machine.driver("confined")["instance"])
         wait_for("the probe's host has ended", lambda: not machine.hosts("confined.so"))

@@ -80,7 +80,12 @@ class Space:
         if self.unified:
             return f"mount -t cgroup2 cgroup {GROUPS}"
         return "\n".join(f"mkdir {tree}; mount -t {kind} cgroup {tree}" for tree, kind in (
-            (GROUPS / "systemd", "cgroup -o none,name=systemd"), (GROUPS / "unified", "cgroup2")) if tree.exists())
+            (GROUPS / "systemd", "cgroup -o none,name=systemd"), (GROUPS / "unified", "cgroup2"),
+            (GROUPS / "pids", "cgroup -o pids")) if tree.exists())
+
+    def counts_processes(self):
+        """Whether TasksMax= of a unit has an effect: the kernel counts the processes of these groups."""
+        return not self.unified or "pids" in (self.groups[0] / "cgroup.controllers").read_text().split()
 
     def remove(self):
         """When all processes have ended, which the kernel does soon after the first one's end."""
@@ -127,7 +132,15 @@ class BootedCluster(PrivateCluster):
             self.space.remove()
 
     def first(self):
-        return next(process for process in self.descendants() if Path(f"/proc/{process}/comm").read_text() == "systemd\n")
+        """systemd's own process."""
+        return next(process for process in self.descendants() if self.name_of(process) == "systemd\n")
+
+    @staticmethod
+    def name_of(process):
+        try:
+            return Path(f"/proc/{process}/comm").read_text()
+        except OSError:  # it has ended since it was listed
+            return ""
 
     def inside(self, *words):
         """Runs a command in systemd's spaces of mounts and processes."""

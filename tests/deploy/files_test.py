@@ -2,16 +2,16 @@
 """The shipped units of all daemons, under a systemd of their own (booted.py), with the secured files of deploy/fleet, which the
 commands of its page made and which belong to whom the commands below its "Files" give them: each daemon reads its key, its
 tokens and its password, which is seen by what it does, and no other user reads them. Tokens and certificates are renewed without
-a restart.
+a restart. Then another machine of the fleet is stolen, and the page's commands end what its thief has.
 
 usage: files_test.py DEPLOY_FOLDER BUILD_DIR
 """
 
 import argparse
-import re
 import shutil
 import socket
 import ssl
+import struct
 import subprocess
 from pathlib import Path
 
@@ -25,9 +25,9 @@ DAEMONS = {"iotcloud-master.service": "iotcloud-master", "iotcloud-gateway.servi
 READERS = {"master.key": {"iotcloud-master"}, "master-tokens": {"iotcloud-master"}, "master.password": {"iotcloud-master"},
            "worker-pages.token": {"iotcloud-master"}, "gateways/gateway-1.token": {"iotcloud-master"},
            "gateway-tokens": {"iotcloud-gateway"}, "gateway.password": {"iotcloud-gateway"},
-           "broker.password": {"iotcloud-gateway", "iotcloud-host"},
+           "broker.password": {"iotcloud-gateway", "iotcloud-host"}, "broker-reads.password": {"iotcloud-gateway", "iotcloud-host"},
            "worker.password": {"iotcloud-topology"}, "worker-broker.password": {"iotcloud-topology"},
-           "lab1.key": set(DAEMONS.values()), "page-tokens": set(DAEMONS.values())}
+           "page-tokens": set(DAEMONS.values()), **{f"lab1-{user.removeprefix('iotcloud-')}.key": {user} for user in DAEMONS.values()}}
 USERS = [*DAEMONS.values(), "iotcloud-host"]
 HOST_UNITS = ["iotcloud-host.socket", "iotcloud-host@.service"]
 ETC = "/etc/iotcloud"
@@ -35,9 +35,8 @@ ETC = "/etc/iotcloud"
 NAMES = "echo '127.0.0.1 lab1 zk1 broker-1' >>/etc/hosts\necho lab1 >/etc/hostname"
 
 
-def commands(deploy):
-    """The blocks of commands in the README: what gives the files to the daemons, and what brings a renewed certificate."""
-    return re.findall(r"```sh\n(.*?)```", (deploy / "fleet" / "README.md").read_text().split("## Files")[1], re.DOTALL)
+# What a client of ZooKeeper says first: the length, the protocol's version, no transaction seen, a time-out of 10 s, no session.
+HELLO_REGISTRY = struct.pack(">iiqiqi16x", 44, 0, 0, 10_000, 0, 16)
 
 
 class Machine(BootedCluster):
@@ -47,21 +46,26 @@ class Machine(BootedCluster):
         folder.mkdir()
         fleet.make(deploy, self.bin, self.plugins / "loadgen.so", folder)
         self.certs, self.etc, self.signed = folder / "certs", folder / "etc", folder / "plugins"
+        self.folder = folder
         self.token = (folder / "anna.token").read_text().strip()
-        self.api_port, self.tunnel_port, registry_port = free_port(), free_port(), free_port()
+        self.api_port, self.tunnel_port, self.registry_port = free_port(), free_port(), free_port()
         servers = self.zookeeper.removeprefix("zookeeper://")
         registry, nobody = {"127.0.0.1:2181": servers}, {"broker-1:5671": "broker-1:1"}
         for name, places in {
                 "master.yaml": {**registry, "12904": self.api_port, "9112": free_port()},
                 "gateway.yaml": {**registry, **nobody, "12905": free_port(), "9405": free_port(), fleet.PLUGINS: "/opt/iotcloud"},
                 "topologies/echo.yaml": {**registry, **nobody, "9406": free_port()},
-                "registry-tunnel.conf": {"127.0.0.1:2181": f"127.0.0.1:{self.tunnel_port}", "zk1:2281": f"zk1:{registry_port}"}}.items():
+                "registry-tunnel.conf": {"127.0.0.1:2181": f"127.0.0.1:{self.tunnel_port}", "zk1:2281": f"zk1:{self.registry_port}"}}.items():
             file = self.etc / name
             file.write_text(fleet.replaced(file.read_text(), places))
         other_end = self.out / "registry-tls.conf"
         other_end.write_text(fleet.replaced((deploy / "fleet/registry-tls.conf").read_text(), {
-            "accept = 2281": f"accept = 127.0.0.1:{registry_port}", "connect = 127.0.0.1:2181": f"connect = {servers}", ETC: self.certs}))
-        self.spawn("registry-tls", ["/usr/bin/stunnel4", other_end])
+            "accept = 2281": f"accept = 127.0.0.1:{self.registry_port}", "connect = 127.0.0.1:2181": f"connect = {servers}",
+            ETC: self.certs}))
+        self.start_other_end()
+
+    def start_other_end(self):
+        self.other_end = self.spawn("registry-tls", ["/usr/bin/stunnel4", self.out / "registry-tls.conf"])
 
     def tool(self, *words):
         return subprocess.run([self.bin / "iotcloud", *words], check=True, capture_output=True, text=True, timeout=60).stdout
@@ -84,6 +88,21 @@ class Machine(BootedCluster):
         groups = {"iotcloud-host": "--clear-groups", "iotcloud-gateway": "--groups=iotcloud,iotcloud-host"}.get(user, "--groups=iotcloud")
         done = self.inside("setpriv", f"--reuid={user}", f"--regid={user}", groups, "cat", f"{ETC}/{file}")
         return done.returncode == 0
+
+    def thief(self, certificate, port):
+        """A connection by a certificate that lab2 has."""
+        context = ssl.create_default_context(cafile=self.certs / "ca.pem")
+        context.load_cert_chain(self.certs / f"{certificate}.pem", self.certs / f"{certificate}.key")
+        return context.wrap_socket(socket.create_connection(("127.0.0.1", port), timeout=60), server_hostname="localhost")
+
+    def reaches_registry(self):
+        """Whether ZooKeeper greets whoever has the certificate of lab2's tunnel."""
+        try:
+            with self.thief("lab2-tunnel", self.registry_port) as thief:
+                thief.sendall(HELLO_REGISTRY)
+                return bool(thief.recv(100))
+        except OSError:  # of which errors of TLS are some
+            return False
 
     def serial_number(self):
         """That of the certificate that the master shows."""
@@ -130,17 +149,54 @@ def check_renewal(machine, bring):
     made = machine.inside(machine.bin / "iotcloud", "token", "add", "bob", "--role", "admin", "--file", f"{ETC}/master-tokens")
     require(made.returncode == 0, f"no token for bob: {made.stderr}")
     machine.token = made.stdout.strip()
-    reloaded = machine.systemctl("reload", "iotcloud-master.service")
-    require(reloaded.returncode == 0, f"systemd does not reload the master: {reloaded.stderr}")
-    wait_for("the new token counts", lambda: machine.json("gateways"))
+    wait_for("the new token counts", lambda: machine.run_cli("gateways").returncode == 0)
     before = machine.serial_number()
-    machine.tool("certs", "renew", machine.certs, "lab1", "--new-key")
+    machine.tool("certs", "renew", machine.certs, "lab1-master", "--new-key")
     brought = machine.inside("sh", "-e", "-c", bring.replace("CERTS", str(machine.certs)))
     require(brought.returncode == 0, f"the certificate does not get to its daemons: {brought.stderr}")
     wait_for("the master shows the renewed certificate", lambda: machine.serial_number() != before)
     require(processes == {unit: machine.main_process(unit) for unit in DAEMONS}, "a daemon was started again")
     require(machine.reads("iotcloud-master", "master-tokens") and not machine.reads("iotcloud-gateway", "master-tokens"),
             "the file of tokens has other readers than before")
+
+
+def check_stolen(machine, here, at_broker, on_lab1):
+    """What the thief of lab2 has is worth nothing after the page's commands, on open connections too, and lab1 goes on."""
+    open_tunnel, open_api = machine.thief("lab2-tunnel", machine.registry_port), machine.thief("lab2-gateway", machine.api_port)
+    open_tunnel.sendall(HELLO_REGISTRY)
+    require(open_tunnel.recv(100) and machine.reaches_registry(), "the attack: the thief is at the registry")
+    as_thief = [str(word).replace("operator.", "lab2-gateway.") for word in machine.command("gateways")]
+    require(subprocess.run(as_thief, capture_output=True, timeout=60).returncode == 0, "the attack: with a person's token, too")
+    before = machine.inside("cat", f"{ETC}/registry.users").stdout
+    require("gateway gateway-2:" in before, before)
+
+    fleet.run(here, machine.bin, machine.folder)
+    fleet.run(at_broker, machine.bin, machine.folder)
+    require(fleet.told_rabbitmq(machine.folder)[-2:] == [["delete_user", user, ""] for user in ("gateway-2", "gateway-2-reads")],
+            f"RabbitMQ is told {fleet.told_rabbitmq(machine.folder)[-2:]}")
+    machine.other_end.kill()  # `systemctl restart` on zk1, which has the list in the folder of the first step here
+    machine.other_end.wait()
+    machine.start_other_end()
+    for file in ("revoked.pem", "registry.users"):
+        copied = machine.inside("cp", machine.etc / file, f"{ETC}/{file}")
+        require(copied.returncode == 0, copied.stderr)
+    require(not open_tunnel.recv(100), "the thief's connection to the registry is open")
+    wait_for("those who may are at the registry again", lambda: machine.run_cli("gateways").returncode == 0)
+    require(not machine.reaches_registry(), "the thief is at the registry again")
+    try:
+        require(not open_api.recv(100), "the master answers the thief")
+    except OSError:
+        pass  # it is cut, as wanted
+    wait_for("the master refuses the certificate", lambda: subprocess.run(as_thief, capture_output=True, timeout=60).returncode != 0)
+
+    script = fleet.replaced(on_lab1, {"zookeeper://127.0.0.1:2181": f"zookeeper://127.0.0.1:{machine.tunnel_port}"})
+    done = machine.inside("sh", "-e", "-c", f"PATH={machine.bin}:$PATH\n{script}")
+    require(done.returncode == 0, f"the page's commands fail on lab1: {done.stdout} {done.stderr}")
+    nodes, changed = map(int, done.stdout.split()[-2:])
+    require(nodes > 0 and changed > 0, f"no node had rights of gateway-2: {done.stdout}")
+    wait_for("the gateway is ready again", lambda: any(gateway["state"] == "ready" for gateway in machine.json("gateways")))
+    wait_for("the driver is active again", lambda: machine.json("drivers")[0]["state"] == "active")
+    wait_for("the topology has its worker again", lambda: any(topology["workers"] for topology in machine.json("topologies")))
 
 
 def main():
@@ -150,7 +206,7 @@ def main():
     given = options.parse_args()
     require_means()
     deploy, build = given.deploy.resolve(), given.build.resolve()
-    give, bring = commands(deploy)
+    give, bring, *stolen = fleet.blocks(fleet.page(deploy)[1])
     out = build / "files_of_units"
     shutil.rmtree(out, ignore_errors=True)
     with Machine(out, build / "bin", build / "plugins") as machine:
@@ -166,6 +222,7 @@ def main():
         check_work(machine)
         check_users(machine)
         check_renewal(machine, bring)
+        check_stolen(machine, *stolen)
     print(f"{len(DAEMONS)} daemons read their files, and no others do")
 
 

@@ -1,6 +1,7 @@
 """The secured files of deploy/fleet, made by the commands of its page, with paths of a test."""
 
 import re
+import shlex
 import shutil
 import subprocess
 
@@ -17,17 +18,44 @@ def replaced(text, paths):
     return text
 
 
+def blocks(text):
+    """The blocks of commands in a page."""
+    return re.findall(r"```sh\n(.*?)```", text, re.DOTALL)
+
+
+def page(deploy):
+    """The page before and after its section "Files"."""
+    return (deploy / "fleet" / "README.md").read_text(encoding="utf-8").split("## Files")
+
+
 def make(deploy, programs, plugin, folder):
-    """Runs the page's commands in `folder`: then folder/etc is what is to be /etc/iotcloud, and folder/plugins has the signed
-    plugin. `programs`: the folder of the command line."""
+    """Runs the page's commands in `folder`: then folder/etc is what is to be /etc/iotcloud, folder/lab2 what is to be that of a
+    further machine, and folder/plugins has the signed plugin. `programs`: the folder of the command line. rabbitmqctl is one that
+    keeps what it is told (told_rabbitmq())."""
     installed, plugins = folder / "installed", folder / "plugins"
     shutil.copytree(deploy / "fleet", installed)
     shutil.copy(deploy / "systemd/registry-tunnel.conf", installed)
     plugins.mkdir()
     shutil.copy(plugin, plugins)
-    page = (deploy / "fleet" / "README.md").read_text(encoding="utf-8").split("## Files")[0]
-    script = replaced("\n".join(re.findall(r"```sh\n(.*?)```", page, re.DOTALL)), {PLUGINS: plugins, INSTALLED: installed})
+    script = replaced("\n".join(blocks(page(deploy)[0])), {PLUGINS: plugins, INSTALLED: installed})
+    run(script, programs, folder)
+
+
+def run(script, programs, folder):
+    """Runs commands of the page in `folder`."""
+    own = folder / "bin"
+    own.mkdir(exist_ok=True)
+    (own / "rabbitmqctl").write_text(f"""#!/bin/sh
+for word in "$@" "$(case $1 in add_user) cat;; esac)"; do printf '%s\\0' "$word"; done >> {shlex.quote(str(folder / 'rabbitmq'))}
+printf '\\n' >> {shlex.quote(str(folder / 'rabbitmq'))}
+""")
+    (own / "rabbitmqctl").chmod(0o755)
     done = subprocess.run(["/bin/sh", "-e", "-c", script], cwd=folder, capture_output=True, text=True, timeout=120, check=False,
-                          env={"PATH": f"{programs}:/usr/bin:/bin"})
+                          env={"PATH": f"{own}:{programs}:/usr/bin:/bin"})
     if done.returncode:
         raise RuntimeError(f"the page's commands fail: {done.stderr}")
+
+
+def told_rabbitmq(folder):
+    """The words of each call of rabbitmqctl; the last one is what it read, a new user's password."""
+    return [line.split("\0")[:-1] for line in (folder / "rabbitmq").read_text(encoding="utf-8").splitlines()]

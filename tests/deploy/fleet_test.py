@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """The configurations of deploy/fleet pass their daemons' own check as they stand, but for their paths, after the commands of its
-page; and each has what secures its daemon. files_test.py starts the units with them.
+page; and each has what secures its daemon. The page gives RabbitMQ's users the rights that are tested at a server
+(tests/brokers/rabbitmq/users_test.cc). files_test.py starts the units with the configurations.
 
 usage: fleet_test.py DEPLOY_FOLDER BUILD_DIR
 """
@@ -13,12 +14,17 @@ import tempfile
 import fleet
 import yaml
 
+sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "deploy/cluster"))
+
+import cluster  # noqa: E402  (its folder is known now)
+
 # What no daemon of the fleet may lack: keys, with those of the mappings in which they stand before them.
 ALL = ["registry.user", "registry.password_file", "registry.users", "metrics/tls/revoked", "metrics/tokens"]
 KEYS = {"master": [*ALL, "orders/signing_key", "orders/trusted_keys", "api/tls/revoked", "api/tokens",
                    "api/gateway_token_file", "api/worker_token_file", "audit/file"],
         "gateway": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "host_user", "host_starter", "host_files/write",
-                    "plugins.require_signature", "plugins.trusted_keys", "brokers/rabbitmq/password_file", "brokers/rabbitmq/tls/ca",
+                    "plugins.require_signature", "plugins.require_version", "plugins.trusted_keys", "brokers/rabbitmq/password_file",
+                    "brokers/rabbitmq/tls/ca", "brokers/rabbitmq/properties/exchange", "brokers/rabbitmq/properties/reader",
                     "audit/file"],
         "topology": [*ALL, "orders.trusted_keys", "brokers/rabbitmq/password_file", "brokers/rabbitmq/tls/ca"]}
 
@@ -35,11 +41,67 @@ def check(daemon, file):
     return subprocess.run([daemon, "--config", file, "--check-config"], capture_output=True, text=True, timeout=60, check=False)
 
 
+def certificates(configuration):
+    """All certificates that a configuration names."""
+    if isinstance(configuration, dict):
+        return {configuration["certificate"]} if "certificate" in configuration else set().union(
+            *map(certificates, configuration.values()))
+    return set()
+
+
+def check_certificates(deploy):
+    """Each daemon has one of its own: whoever takes over a daemon has no token's certificate but its own."""
+    named = {name: certificates(yaml.safe_load((deploy / "fleet" / f"{name}.yaml").read_text(encoding="utf-8"))) for name in KEYS}
+    for name, own in named.items():
+        if own != {f"/etc/iotcloud/lab1-{name}.pem"}:
+            sys.exit(f"{name}.yaml has the certificates {own}")
+
+
+def rights(told):
+    """Of each user of RabbitMQ, as RABBITMQ_USERS of cluster.py has them, and who has a password."""
+    users, with_password = {}, set()
+    for verb, user, *words in told:
+        if verb == "add_user" and words[-1]:
+            with_password.add(user)
+        elif verb == "set_permissions":
+            users.setdefault(user, {}).update(zip(("configure", "write", "read"), words))
+        elif verb == "set_topic_permissions" and words[0] == cluster.GATEWAYS_EXCHANGE and words[1] == words[2]:
+            users.setdefault(user, {})["keys"] = words[1]
+    return users, with_password
+
+
+def check_brokers_users(folder):
+    cluster.GATEWAYS = ["gateway-[0-9]+"]  # the page's rights of workers are for gateways that have such ids
+    expected = {**cluster.rights_of_gateway("gateway-1"), "workers": cluster.rights_of_workers()}
+    told = fleet.told_rabbitmq(folder)
+    users, with_password = rights(told)
+    if users != expected or with_password != set(expected):
+        sys.exit(f"RabbitMQ's users of the page: {users}, and those that are tested: {expected}; {with_password} have passwords")
+    if ["delete_user", "guest", ""] not in told:
+        sys.exit("RabbitMQ's user guest stays")
+
+
+def check_further_machine(build, folder):
+    """lab2's gateway takes the files that the page makes for it, and none of lab1's."""
+    text = (folder / "lab2/gateway.yaml").read_text(encoding="utf-8")
+    if "lab1" in text or "gateway-1" in text:
+        sys.exit(f"lab2's gateway is of lab1:\n{text}")
+    file = folder / "lab2/here.yaml"
+    file.write_text(fleet.replaced(text, {"/etc/iotcloud": folder / "lab2", fleet.PLUGINS: folder / "plugins",
+                                          "host_user: iotcloud-host": "host_user: nobody"}), encoding="utf-8")
+    done = check(build / "bin/iotcloud-gateway", file)
+    if done.returncode:
+        sys.exit(f"lab2's gateway.yaml: {done.stderr or done.stdout}")
+
+
 def main():
     deploy, build = (pathlib.Path(word).resolve() for word in sys.argv[1:])
     with tempfile.TemporaryDirectory() as work:
         folder = pathlib.Path(work)
         fleet.make(deploy, build / "bin", build / "plugins/loadgen.so", folder)
+        check_certificates(deploy)
+        check_brokers_users(folder)
+        check_further_machine(build, folder)
         for name, keys in KEYS.items():
             made = folder / "etc" / ("topologies/echo.yaml" if name == "topology" else f"{name}.yaml")
             text = made.read_text(encoding="utf-8")

@@ -71,7 +71,7 @@ class Tunnel(unittest.TestCase):
         folder = tempfile.TemporaryDirectory()
         self.addCleanup(folder.cleanup)
         self.folder = pathlib.Path(folder.name) / "certs"
-        self.certs("init", "localhost", "lab1", "zk1")
+        self.certs("init", "localhost", "lab1", "zk1", "lab1-tunnel")
 
     def certs(self, verb, *hosts):
         subprocess.run([IOTCLOUD, "certs", verb, self.folder, "--host", ",".join(hosts)], check=True, capture_output=True,

@@ -40,6 +40,7 @@ TEST(RegistrySetting, NothingIsNeeded) {
   EXPECT_FALSE(options.others_may_read);
   EXPECT_FALSE(options.open);
   EXPECT_TRUE(read("registry.open: true").open);
+  EXPECT_FALSE(options.unencrypted);
 }
 
 TEST(RegistrySetting, ReadsUserAndTheFirstLineOfThePasswordFile) {
@@ -90,6 +91,7 @@ TEST(RegistrySetting, WhatCannotBeIsRefusedWithARemedy) {
   EXPECT_THAT(error_of("registry.user: u\nregistry.password_variable: IOTCLOUD_NO_SUCH_VARIABLE"),
               HasSubstr("IOTCLOUD_NO_SUCH_VARIABLE"));
   EXPECT_THAT(error_of("registry.password_file: /a\nregistry.password_variable: B"), HasSubstr("remove one"));
+  EXPECT_THAT(error_of("registry.unencrypted: true"), HasSubstr("registry.user"));
   EXPECT_THAT(error_of("registry.others_may_read: true"), HasSubstr("registry.user"));
   EXPECT_THAT(error_of("registry.open: true\nregistry.user: u\nregistry.password_variable: HOME"),
               HasSubstr("registry.open"));

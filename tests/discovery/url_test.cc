@@ -1,6 +1,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/discovery/access.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/zookeeper/url.h>
 #include <iotcloud/tests/captured_log.h>
@@ -38,10 +39,49 @@ TEST(RegistryUrl, AServerThatOtherMachinesReachNeedsAUser) {
     }
   }
   options.open = false;
+  options.unencrypted = true;
+  options.url = "zookeeper://192.0.2.1";
+  EXPECT_THROW(make_registry(options), config::Error) << "a protected way does not say who comes by it";
+  options.unencrypted = false;
   for (const char* url : {"zookeeper://127.0.0.1:1", "zookeeper://localhost:1,[::1]:1/x"}) {
     options.url = url;
     EXPECT_TRUE(make_registry(options)) << url;
   }
+}
+
+TEST(RegistryUrl, ThePasswordDoesNotGoToAnotherMachineInTheClearUnlessItIsMeant) {
+  RegistryOptions options;
+  options.user = "gateway-1";
+  options.password = "secret";
+  for (const char* url : {"zookeeper://192.0.2.1:1", "zookeeper://127.0.0.1:1,192.0.2.1:1/x"}) {
+    options.url = url;
+    options.unencrypted = false;
+    try {
+      make_registry(options);
+      ADD_FAILURE() << url << ": whoever reads the network has the password";
+    } catch (const config::Error& error) {
+      EXPECT_THAT(error.what(),
+                  AllOf(HasSubstr("no TLS"), HasSubstr("registry.unencrypted"), Not(HasSubstr("secret"))));
+    }
+    options.unencrypted = true;
+    EXPECT_TRUE(make_registry(options)) << url;
+  }
+}
+
+TEST(RegistryUrl, AUserThatAllProcessesShareIsWarnedOf) {
+  const auto said = [](const RegistryOptions& options) {
+    const iotcloud::tests::CapturedLog log;
+    make_registry(options);
+    return log.text();
+  };
+  RegistryOptions options;
+  options.url = "zookeeper://localhost:1/x";
+  options.user = "fleet";
+  options.password = "secret";
+  const auto warning = AllOf(HasSubstr("\"fleet\" have one password"), HasSubstr("registry.users"));
+  EXPECT_THAT(said(options), warning);
+  options.access = std::make_shared<const RegistryAccess>(std::vector<RegistryUser>{}, Paths("/iot/sensors"));
+  EXPECT_THAT(said(options), Not(warning)) << "each has its own";
 }
 
 TEST(RegistryUrl, AServerOfThisMachineWithoutAUserIsWarnedOfUnlessItIsMeant) {

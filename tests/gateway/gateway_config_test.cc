@@ -16,6 +16,7 @@ namespace {
 
 using ::testing::AllOf;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 class GatewayConfigTest : public ::testing::Test {
  protected:
@@ -64,6 +65,21 @@ TEST_F(GatewayConfigTest, AnIdWithADotIsRefusedWhereGatewaysShareAnExchange) {
   both.replace(both.find("id: gw"), 6, "id: gw.1");
   EXPECT_THAT(error_of(both),
               testing::AllOf(HasSubstr("gateway.yaml:2"), HasSubstr("\"gw.1\" has a dot"), HasSubstr("\"exchange\"")));
+}
+
+TEST_F(GatewayConfigTest, APasswordInABrokersUrlIsNotPublishedToAFleetWhoseProcessesHaveUsersOfTheirOwn) {
+  std::ofstream(folder_ / "users") << "gateway gw:d=\n";
+  std::ofstream(folder_ / "password") << "p\n";
+  const std::string of_one = "\nregistry.user: gw\nregistry.password_file: " + (folder_ / "password").string() +
+                             "\nregistry.users: " + (folder_ / "users").string();
+  const auto brokers = [&](const std::string& url, const std::string& more) {
+    return error_of(with("brokers", "brokers: {rabbitmq: {urls: [\"amqp://b/\", \"" + url + "\"]}}" + more));
+  };
+  EXPECT_EQ(brokers("amqp://a:sesame@b/", ""), "");
+  EXPECT_EQ(brokers("amqp://a@b/", of_one), "");
+  EXPECT_EQ(brokers("amqp://guest:guest@127.0.0.1/", of_one), "");
+  EXPECT_THAT(brokers("amqp://a:sesame@b/", of_one), AllOf(HasSubstr("\"rabbitmq\" has its password in the URL"),
+                                                           HasSubstr("password_file"), Not(HasSubstr("sesame"))));
 }
 
 TEST_F(GatewayConfigTest, AllErrorsOfAFileAreSaidAtOnce) {

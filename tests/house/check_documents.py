@@ -31,6 +31,10 @@ ENTERED = re.compile(r"\| *([\w/]+) *\| *(\d+) *\|$")
 # A row of the table of rooms: the linked room, what it is, the rooms that it uses.
 ROOM = re.compile(r"\| *\[([\w/]+)\]\([^)]*\) *\|[^|]*\| *([\w, ]*?) *\|$")
 
+# A test that SECURITY.md names: one, those with such a beginning, or all of a suite; and one of a command.
+TEST = re.compile(r"`([A-Z]\w+)\.((?:[A-Z]\w+)?)(\.\.\.|\*|)`")
+COMMAND_TEST = re.compile(r"`([a-z]+(?:_[a-z]+){4,})`")
+
 
 def commands(root):
     """The words behind ./dev that its usage knows."""
@@ -160,17 +164,25 @@ def room_problems(root, file):
 
 
 def named_test_problems(root, file):
-    """Every test that SECURITY.md names is there: `Suite.Name`, or a test of a command, `in_lower_case_words`."""
+    """Every test that SECURITY.md names is there: `Suite.Name`, `Suite.Beginning...`, `Suite.*`, or a test of a command,
+    `in_lower_case_words`. Every cell of its table names one, or says that it is only said."""
     if not file.exists():
         return
     sources = "\n".join(path.read_text() for path in sorted((root / "tests").rglob("*"))
                         if path.suffix == ".cc" or path.name == "CMakeLists.txt")
-    for suite, name in re.findall(r"`([A-Z]\w+)\.([A-Z]\w+)`", file.read_text()):
-        if not re.search(rf"TEST(?:_F|_P)?\({suite}, {name}\)", sources):
-            yield f"{file.relative_to(root)}: there is no test {suite}.{name}"
-    for name in re.findall(r"`([a-z]+(?:_[a-z]+){4,})`", file.read_text()):
+    place, text = file.relative_to(root), file.read_text()
+    for suite, name, open_end in TEST.findall(text):
+        if not re.search(rf"TEST(?:_F|_P)?\({suite}, {name}{'' if open_end else r'[)]'}", sources):
+            yield f"{place}: there is no test {suite}.{name}{open_end}"
+    for name in COMMAND_TEST.findall(text):
         if f"NAME {name} " not in sources:
-            yield f"{file.relative_to(root)}: there is no test {name}"
+            yield f"{place}: there is no test {name}"
+    for number, line in enumerate(text.splitlines(), 1):
+        if not line.startswith("| ") or line.startswith("| stolen |"):
+            continue
+        for cell in line.strip("|").split("|")[1:]:
+            if not (TEST.search(cell) or COMMAND_TEST.search(cell) or re.search(r"\bsaid\b", cell)):
+                yield f"{place}:{number}: no test of \"{cell.strip()[:60]}\", nor that it is only said"
 
 
 def main():

@@ -62,6 +62,22 @@ class Documents(Tree):
         self.assertEqual(list(check_documents.named_test_problems(self.root, file)),
                          ["SECURITY.md: there is no test Suite.IsGone", "SECURITY.md: there is no test a_test_of_a_cat"])
 
+    def test_tests_may_be_named_by_their_beginning_or_their_suite(self):
+        self.write("tests/a_test.cc", "TEST(Suite, IsThere) {}")
+        file = self.write("SECURITY.md", "`Suite.Is...`, `Suite.*`, `Suite.Was...`, `Other.*`, `FILE.head`")
+        self.assertEqual(list(check_documents.named_test_problems(self.root, file)),
+                         ["SECURITY.md: there is no test Suite.Was...", "SECURITY.md: there is no test Other.*"])
+
+    def test_a_cell_of_the_thiefs_table_names_a_test_or_says_that_it_is_only_said(self):
+        self.write("tests/a_test.cc", "TEST(Suite, IsThere) {}")
+        table = "| stolen | reaches | does not reach |\n|---|---|---|\n"
+        for row, problems in (("| a key | doors (`Suite.IsThere`) | windows (said) |", []),
+                              ("| a key | doors | windows (`Suite.*`) |", ["SECURITY.md:3: no test of \"doors\", nor that it is only said"]),
+                              ("| a key | doors (said) | what is unsaid |",
+                               ["SECURITY.md:3: no test of \"what is unsaid\", nor that it is only said"])):
+            file = self.write("SECURITY.md", table + row + "\n")
+            self.assertEqual(list(check_documents.named_test_problems(self.root, file)), problems)
+
     def test_a_file_that_is_named_and_not_there_is_told(self):
         file = self.write("rooms/README.md", "`brokers/link.cc`, `rooms/brokers/link.cc`, `<iotcloud/rooms/brokers/link.cc>`\n"
                                              "`brokers/gone.cc`, gone.cc, /usr/include/gone.h")

@@ -1,4 +1,5 @@
 // Who may do what with the master's API: tokens, roles, and what is written down of it.
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
 #include <future>
@@ -525,8 +526,8 @@ TEST_F(LimitedAccess, OneTokenHasSoManyConnectionsAndTakesNobodysPlace) {
   auto operating = connect(operating_);  // the server looks when the next one comes
   EXPECT_TRUE(is_answered(operating));
   EXPECT_TRUE(is_answered(admin));
-  for (std::size_t i = 0; i < 16; ++i) EXPECT_TRUE(is_closed(all[i])) << i;
-  for (std::size_t i = 17; i < 20; ++i) EXPECT_TRUE(is_answered(all[i])) << i;
+  // Which three depends on when their threads noted that they were idle.
+  EXPECT_EQ(std::count_if(all.begin(), all.end(), [](auto& client) { return is_answered(client); }), 3);
 }
 
 TEST_F(LimitedAccess, OneThatSaysNothingIsClosedWithATokenToo) {
@@ -683,15 +684,17 @@ TEST_F(Access, AnAuditLogThatIsMovedAwayIsBegunAnew) {
 }
 
 TEST_F(Access, OneWhoseTokenIsTakenAwayLosesItsOpenConnection) {
+  rpc::ThriftServerOptions options;
+  options.look_period = std::chrono::milliseconds(20);
+  serve(options);
   auto client = connect(viewer_);
   auto other = connect(admin_);
   const auto& cut_off = config::process_metrics().counter("iotcloud_thrift_refused_total", "",
                                                           {{"service", "thrift"}, {"reason", "revoked"}});
   const auto before = cut_off.value();
   security::remove_token(tokens_file_, "vera");
-  tokens_->reload();
-  server_->reload();
-  ASSERT_TRUE(tests::eventually([&] { return cut_off.value() == before + 1; }));
+  clock_.advance(security::TokenKeeper::look_period);
+  ASSERT_TRUE(tests::eventually([&] { return cut_off.value() == before + 1; })) << "nobody told the server";
   std::vector<discovery::wire::TSite> gateways;
   EXPECT_THROW(client.listGateways(gateways), apache::thrift::transport::TTransportException);
   EXPECT_NO_THROW(other.listGateways(gateways));

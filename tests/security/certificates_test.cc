@@ -5,6 +5,7 @@
 #include <sys/stat.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/security/openssl.h>
 #include <iotcloud/tests/security/certificates.h>
 
 namespace iotcloud::security {
@@ -57,6 +58,20 @@ TEST(AuthorityTest, AGatewaysNameDoesNotAddToTheCertificate) {
   EXPECT_NO_THROW(made.authority().certify_host("lab2", {"g1", "g2"}));
   EXPECT_EQ(subject_in(made.authority().certificate("lab2")), "CN=lab2");
   EXPECT_THROW(subject_in(made.authority().key("lab2")), config::Error);
+}
+
+TEST(AuthorityTest, ADaemonsCertificateHasItsOwnNameAndItsMachinesNames) {
+  const test::Certificates made;
+  made.authority().certify_daemon("lab2-gateway", {"lab2", "192.0.2.7"}, {"g1"});
+  const auto file = made.authority().certificate("lab2-gateway");
+  EXPECT_EQ(subject_in(file), "CN=lab2-gateway");
+  const auto certificate = openssl::read_certificate(file);
+  for (const char* host : {"lab2", "localhost"})
+    EXPECT_EQ(X509_check_host(certificate.get(), host, 0, 0, nullptr), 1) << host;
+  EXPECT_EQ(X509_check_ip_asc(certificate.get(), "192.0.2.7", 0), 1);
+  EXPECT_EQ(X509_check_host(certificate.get(), "lab2-gateway", 0, 0, nullptr), 0) << "it is no machine";
+  EXPECT_THROW(made.authority().certify_daemon("lab2-master", {"lab2,DNS:lab9"}), config::Error);
+  EXPECT_THROW(made.authority().certify_daemon("a,b", {"lab2"}), config::Error);
 }
 
 TEST(AuthorityTest, WithoutAnAuthorityTheErrorSaysHowToMakeOne) {

@@ -7,6 +7,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/security/certificates.h>
 
@@ -177,7 +178,8 @@ TEST_F(Tokens, TheSameTokenTwiceHasAnotherHash) {
 TEST_F(Tokens, OneThatIsTakenAwayOrMadeAnewIsWorthNothingAfterReloading) {
   const auto anna = add_token(file_, "anna", Role::admin);
   add_token(file_, "bob", Role::viewer);
-  TokenKeeper keeper(file_);
+  const tests::HandClock clock;
+  TokenKeeper keeper(file_, "", clock);
   const auto entry = keeper.holder(anna, "");
   ASSERT_TRUE(entry);
   EXPECT_EQ(keeper.role_of(*entry), Role::admin);
@@ -188,6 +190,32 @@ TEST_F(Tokens, OneThatIsTakenAwayOrMadeAnewIsWorthNothingAfterReloading) {
   keeper.reload();
   EXPECT_FALSE(keeper.role_of(*entry));
   EXPECT_FALSE(keeper.holder(anna, ""));
+}
+
+TEST_F(Tokens, OneThatIsTakenAwayIsWorthNothingSoonAfterWithoutBeingToldSo) {
+  const auto anna = add_token(file_, "anna", Role::admin);
+  const auto bob = add_token(file_, "bob", Role::viewer);
+  tests::HandClock clock;
+  TokenKeeper keeper(file_, "", clock);
+  const auto entry = keeper.holder(anna, "");
+  ASSERT_TRUE(entry);
+  EXPECT_TRUE(remove_token(file_, "anna"));
+  clock.advance(TokenKeeper::look_period);
+  EXPECT_FALSE(keeper.role_of(*entry)) << "an open connection";
+  EXPECT_FALSE(keeper.holder(anna, ""));
+  const auto eve = add_token(file_, "eve", Role::viewer);
+  clock.advance(TokenKeeper::look_period);
+  EXPECT_TRUE(keeper.holder(eve, ""));
+
+  const tests::CapturedLog log;
+  write("nonsense\n");
+  for (int i = 0; i < 3; ++i) {
+    clock.advance(TokenKeeper::look_period);
+    EXPECT_TRUE(keeper.holder(bob, "")) << "a file that is of no use changes nothing";
+  }
+  const auto said = log.text();
+  EXPECT_NE(said.find("still count"), std::string::npos) << said;
+  EXPECT_EQ(said.find("still count"), said.rfind("still count")) << "said once";
 }
 
 TEST_F(Tokens, AFileThatIsWrongChangesNothingWhenItIsReadAgain) {

@@ -27,6 +27,7 @@ Then it obeys one command for each line of stdin and answers with one line on st
             all connections                        REREAD
     clients the user, and holder and days of the
             certificate, of each connection        CLIENTS user CN=holder from - to; ...
+    forget USER  deletes a user                    FORGOTTEN
     stop    ends everything                        STOPPED
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
@@ -208,6 +209,10 @@ class RabbitMq(private_server.Server):
         self.control("close_all_connections", "a test wants it")
         return "REREAD"
 
+    def forget(self, user):
+        self.control("delete_user", user)
+        return "FORGOTTEN"
+
     def clients(self):
         return "CLIENTS " + "; ".join(
             self.listed("list_connections", "user", "peer_cert_subject", "peer_cert_validity").splitlines()[1:])  # after the headers
@@ -229,7 +234,7 @@ class RabbitMq(private_server.Server):
     def commands(self):
         return {**super().commands(), "alarm": self.alarm, "clear": self.clear, "forbid": self.forbid,
                 "permit": self.permit, "banish": self.banish, "cap": self.cap, "uncap": self.uncap, "queues": self.queues, "reread": self.reread,
-                "clients": self.clients}
+                "clients": self.clients, "forget": self.forget}
 
 
 def main():

@@ -56,6 +56,10 @@ class Attempts {
   Attempts(const Attempts&) = delete;
   Attempts& operator=(const Attempts&) = delete;
 
+  bool is_open() {
+    amqp_channel_open(connection_, ++channel_);
+    return outcome() == "ok";
+  }
   /// What the server says to each: "ok", or why not.
   std::string declare(const std::string& queue, std::vector<std::pair<std::string, std::string>> arguments = {}) {
     open();
@@ -207,6 +211,38 @@ TEST_F(RabbitMqUsers, TheThiefOfAGatewayNeitherSendsAsAnotherOneNorReadsItsMessa
   EXPECT_THAT(writer.declare_exchange("gateway-1.alternate", alternate), refused);
   EXPECT_THAT(writer.bind_exchange(exchange, "gateway-1.source", "#"), refused);
   EXPECT_THAT(writer.publish("gateway-1.source", foreign), refused);
+}
+
+TEST_F(RabbitMqUsers, WhenAGatewaysUsersAreDeletedItsOpenConnectionsEnd) {
+  Attempts writer(server_->url(), "gateway-2"), reader(server_->url(), "gateway-2-reads");
+  const std::string own = "gateway-2.turtle.two.data";
+  EXPECT_EQ(writer.publish(exchange, own), "ok") << "the attack";
+  EXPECT_EQ(reader.declare("gateway-2.mine"), "ok");
+  for (const std::string user : {"gateway-2", "gateway-2-reads"}) server_->command("forget " + user, "FORGOTTEN");
+  EXPECT_TRUE(eventually([&] { return !writer.is_open() && !reader.is_open(); }));
+  Attempts other(server_->url(), "gateway-1");
+  EXPECT_EQ(other.publish(exchange, "gateway-1.turtle.one.data"), "ok") << "others go on";
+}
+
+TEST_F(RabbitMqUsers, TheThiefOfAWorkerReachesTheGatewaysQueuesAndKeysOnly) {
+  const auto refused = HasSubstr("ACCESS_REFUSED");
+  Attempts worker(server_->url(), "workers");
+  const std::string queue = "gateway-2.turtle.two.data.echo", foreign = "lab.turtle.one.data";
+  EXPECT_EQ(worker.publish(exchange, "gateway-2.turtle.two.control"), "ok") << "commands to devices, which it may send";
+  EXPECT_EQ(worker.declare(queue), "ok");
+  EXPECT_EQ(worker.bind(queue, exchange, "gateway-2.turtle.two.data"), "ok");
+
+  for (const auto& key :
+       {foreign, std::string("gateway-10.turtle.one.data"), std::string("#"), std::string("*.turtle.#")}) {
+    EXPECT_THAT(worker.bind(queue, exchange, key), refused) << key;
+    EXPECT_THAT(worker.publish(exchange, key), refused) << key;
+  }
+  EXPECT_THAT(worker.declare(foreign), refused);
+  EXPECT_THAT(worker.consume(foreign), refused);
+  EXPECT_THAT(worker.publish("", queue), refused) << "the queue itself, by the server's own exchange";
+  EXPECT_THAT(worker.publish("amq.direct", queue), refused);
+  EXPECT_THAT(worker.declare_exchange("lab.source"), refused);
+  EXPECT_THAT(worker.bind_exchange(exchange, "amq.fanout", "#"), refused);
 }
 
 }  // namespace

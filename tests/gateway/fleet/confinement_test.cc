@@ -1,11 +1,17 @@
 // What driver hosts give up, as drivers in real processes see it.
 #include <array>
+#include <atomic>
 #include <map>
 #include <set>
+#include <stdexcept>
 #include <string>
+#include <thread>
 
+#include <arpa/inet.h>
+#include <netinet/in.h>
 #include <signal.h>
 #include <sys/prctl.h>
+#include <sys/socket.h>
 #include <sys/stat.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -48,7 +54,11 @@ TEST_F(ConfinedHosts, WithoutAConfinementADriverMayWhatItsGatewayMay) {
   EXPECT_EQ(found["user"], std::to_string(geteuid()));
   EXPECT_EQ(found["no_new_privileges"], "0");
   EXPECT_EQ(found["unshare"], "ok");
+  EXPECT_EQ(found["clone3"], "EINVAL") << "the kernel looks at the call";
   EXPECT_EQ(found["process_vm_readv"], "ok");
+  if (geteuid() == 0) {
+    EXPECT_EQ(found["name_spaces"], "user mount pid net ipc uts cgroup");
+  }
 }
 
 TEST_F(ConfinedHosts, GiveUpNewPrivilegesCoreDumpsDebuggersAndFiles) {
@@ -74,8 +84,8 @@ TEST_F(ConfinedHosts, AreRefusedSystemCallsThatNoDriverNeedsAndMayStartThreadsAn
   confinement_.filter_calls = true;
   auto found = facts();
   EXPECT_EQ(found["unshare"], "EPERM");
-  EXPECT_EQ(found["name_space_by_clone"], "EPERM");
-  EXPECT_EQ(found["name_space_by_clone3"], "ENOSYS");
+  EXPECT_EQ(found["name_spaces"], "") << "by clone()";
+  EXPECT_EQ(found["clone3"], "ENOSYS") << "whose flags no filter sees";
   EXPECT_EQ(found["ptrace"], "EPERM");
   EXPECT_EQ(found["process_vm_readv"], "EPERM");
   EXPECT_EQ(found["thread"], "ok");
@@ -132,6 +142,78 @@ TEST_F(ConfinedHosts, ConnectOnlyToThePortsThatTheyMay) {
   EXPECT_EQ(found["other_port_by_first_data"], "EPERM") << "nor this";
   EXPECT_EQ(found["near"], "EPERM") << "a datagram";
   EXPECT_EQ(found["far"], "EPERM") << "one of IPv6";
+}
+
+/// A server of names at port 53 of an address of its own, by TCP only: every name is 192.0.2.7.
+class NamesByTcp {
+ public:
+  static constexpr const char* address = "127.53.0.1";
+  NamesByTcp() : socket_(socket(AF_INET, SOCK_STREAM | SOCK_CLOEXEC, 0)) {
+    sockaddr_in at{};
+    at.sin_family = AF_INET;
+    at.sin_port = htons(53);
+    inet_pton(AF_INET, address, &at.sin_addr);
+    const int yes = 1;
+    setsockopt(socket_, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
+    if (bind(socket_, reinterpret_cast<const sockaddr*>(&at), sizeof at) != 0 || listen(socket_, 8) != 0)
+      throw std::runtime_error("no name server at port 53");
+    thread_ = std::jthread([this] { serve(); });
+  }
+  ~NamesByTcp() {
+    shutdown(socket_, SHUT_RDWR);
+    thread_.join();
+    close(socket_);
+  }
+  NamesByTcp(const NamesByTcp&) = delete;
+  NamesByTcp& operator=(const NamesByTcp&) = delete;
+  int asked() const { return asked_; }
+
+ private:
+  void serve() {
+    for (int client = accept(socket_, nullptr, nullptr); client >= 0; client = accept(socket_, nullptr, nullptr)) {
+      std::array<unsigned char, 512> question{};
+      const auto size = recv(client, question.data(), question.size(), 0);
+      constexpr ssize_t header = 2 + 12;  // the length, and what stands before the question
+      if (size > header) {
+        ++asked_;
+        std::string answer(question.data() + 2, question.data() + size);
+        answer[2] = '\x81', answer[3] = '\x80', answer[7] = 1;  // an answer, with one record
+        answer += std::string("\xc0\x0c\0\1\0\1\0\0\0\0\0\4\xc0\0\2\7", 16);
+        const std::string length{static_cast<char>(answer.size() >> 8U), static_cast<char>(answer.size())};
+        send(client, (length + answer).data(), length.size() + answer.size(), MSG_NOSIGNAL);
+      }
+      close(client);
+    }
+  }
+  const int socket_;
+  std::atomic<int> asked_{0};
+  std::jthread thread_;
+};
+
+TEST_F(ConfinedHosts, AskForNamesByTcp) {
+  if (processes::landlock_version() < processes::landlock_of_connections)
+    GTEST_SKIP() << "this kernel cannot restrict connections";
+  if (geteuid() != 0) GTEST_SKIP() << "only root may give a process another /etc/resolv.conf";
+  const NamesByTcp names;
+  const auto resolver = tests::write_file(
+      folder_ / "resolv.conf", "nameserver " + std::string(NamesByTcp::address) + "\noptions attempts:1 timeout:1\n");
+  host_program_ =
+      tests::write_file(folder_ / "host", "#!/bin/sh\nexec unshare --mount sh -c 'mount --bind " + resolver +
+                                              " /etc/resolv.conf && exec " HOST_PROGRAM " \"$@\"' sh \"$@\"\n");
+  chmod(host_program_.c_str(), 0700);
+  const std::map<std::string, std::string> asks{{"name", "broker.iotcloud.test"}};
+  EXPECT_NE(facts(asks)["name"], "192.0.2.7") << "it asks by datagrams, to which nobody answers";
+  take_back("a");
+  gateway_.reset();
+  confinement_.no_new_privileges = confinement_.filter_calls = true;
+  ports_ = {{"all", {53}}};
+  EXPECT_EQ(facts(asks)["name"], "192.0.2.7");
+  EXPECT_EQ(names.asked(), 1);
+  take_back("a");
+  gateway_.reset();
+  ports_ = {{"all", {9}}};
+  EXPECT_NE(facts(asks)["name"], "192.0.2.7") << "the port is not named";
+  EXPECT_EQ(names.asked(), 1);
 }
 
 TEST_F(ConfinedHosts, ReachOnlyTheFilesThatTheyMay) {
@@ -257,6 +339,19 @@ TEST_F(HostsOfAnotherUser, DoNotReachTheMemoryOfADaemonOfTheirUserAlsoWithoutAFi
   EXPECT_EQ(found["environment_of_victim"], "EACCES");
   EXPECT_EQ(found["memory_of_victim"], "EACCES");
   EXPECT_EQ(found["ptrace_of_victim"], "EPERM");
+}
+
+TEST_F(HostsOfAnotherUser, StartNoMoreProcessesThanTheyMay) {
+  constexpr int most = 300;
+  const std::map<std::string, std::string> asks{{"children", std::to_string(most)}};
+  auto found = facts(asks);
+  EXPECT_EQ(found["children"], std::to_string(most)) << "the attack";
+  take_back("a");
+  gateway_.reset();
+  confinement_.processes = most;
+  found = facts(asks);
+  EXPECT_EQ(found["next_child"], "EAGAIN");
+  EXPECT_LT(std::stoi(found["children"]), most);
 }
 
 TEST_F(HostsOfAnotherUser, SpoolAndEndInOrder) {

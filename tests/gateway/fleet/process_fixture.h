@@ -45,7 +45,7 @@ class ProcessTest : public GatewayFixture {
     ProcessLauncher::Options options;
     options.plugin_dir = plugins_;
     options.state_dir = state_;
-    options.host_program = HOST_PROGRAM;
+    options.host_program = host_program_;
     options.ping_period = std::chrono::milliseconds{20};
     options.hang_limit = hang_limit_;
     options.own_thread_hang_limit = own_thread_hang_limit_;
@@ -105,7 +105,7 @@ class ProcessTest : public GatewayFixture {
   processes::Confinement confinement_;
   ProcessLauncher::Ports ports_;
   std::vector<std::string> environment_;
-  std::string starter_;
+  std::string starter_, host_program_ = HOST_PROGRAM;
   const std::shared_ptr<HostMetrics> metrics_ = std::make_shared<HostMetrics>();
 };
 

@@ -5,11 +5,14 @@
 #include <iostream>
 #include <string>
 #include <thread>
+#include <tuple>
+#include <utility>
+#include <vector>
 
 #include <arpa/inet.h>
 #include <fcntl.h>
 #include <grp.h>
-#include <linux/sched.h>
+#include <netdb.h>
 #include <netinet/in.h>
 #include <sched.h>
 #include <signal.h>
@@ -36,6 +39,8 @@ using namespace std::chrono_literals;
 ///   victim: the id of a process that it tries to signal, to debug, and to read the memory and environment of
 ///   near, far: addresses to which it sends a datagram
 ///   port, other_port: of 127.0.0.1, to which it connects
+///   name: of a machine, whose IPv4 address it asks for
+///   children: how many processes it tries to start
 ///   chatter: "true": it writes 16 KiB to stdout every 2 ms
 class ConfinedDriver final : public drivers::Driver {
  public:
@@ -56,8 +61,8 @@ class ConfinedDriver final : public drivers::Driver {
         {"no_new_privileges", std::to_string(prctl(PR_GET_NO_NEW_PRIVS, 0, 0, 0, 0))},
         {"dumpable", std::to_string(prctl(PR_GET_DUMPABLE, 0, 0, 0, 0))},
         {"unshare", outcome(unshare(0))},
-        {"name_space_by_clone", outcome(name_space())},
-        {"name_space_by_clone3", outcome(name_space_by_clone3())},
+        {"name_spaces", name_spaces()},
+        {"clone3", outcome(syscall(SYS_clone3, nullptr, 0))},
         {"ptrace", outcome(ptrace(PTRACE_PEEKDATA, getpid(), nullptr, nullptr))},
         {"process_vm_readv", outcome(read_own_memory())},
         {"thread", outcome(thread())},
@@ -88,6 +93,12 @@ class ConfinedDriver final : public drivers::Driver {
         facts[place + "_by_mptcp"] = outcome(connection(port->second, IPPROTO_MPTCP));
         facts[place + "_by_first_data"] = outcome(connection(port->second, 0, true));
       }
+    }
+    if (const auto name = properties.find("name"); name != properties.end()) {
+      facts["name"] = address_of(name->second);
+    }
+    if (const auto count = properties.find("children"); count != properties.end()) {
+      std::tie(facts["children"], facts["next_child"]) = start_children(std::stoi(count->second));
     }
     if (const auto name = properties.find("secret_variable"); name != properties.end()) {
       const char* const value = getenv(name->second.c_str());
@@ -132,24 +143,53 @@ class ConfinedDriver final : public drivers::Driver {
   /// Opens a ring whose parameters are missing: EFAULT, if the call is not refused before.
   static long io_uring() { return syscall(SYS_io_uring_setup, 1, nullptr); }
 
-  /// A child in a name space of its own that ends at once.
-  static long name_space() {
-    const long child = syscall(SYS_clone, CLONE_NEWUTS | SIGCHLD, nullptr, nullptr, nullptr, nullptr);
-    return ended(child);
+  /// The kinds of name spaces that a child of it may have, by clone().
+  static std::string name_spaces() {
+    std::string made;
+    constexpr std::pair<const char*, long> kinds[] = {
+        {"user", CLONE_NEWUSER}, {"mount", CLONE_NEWNS}, {"pid", CLONE_NEWPID},      {"net", CLONE_NEWNET},
+        {"ipc", CLONE_NEWIPC},   {"uts", CLONE_NEWUTS},  {"cgroup", CLONE_NEWCGROUP}};
+    for (const auto& [name, flag] : kinds) {
+      const long child = syscall(SYS_clone, flag | SIGCHLD, 0, 0, 0, 0);
+      if (child == 0) _exit(0);
+      if (child < 0) continue;
+      waitpid(static_cast<pid_t>(child), nullptr, 0);
+      made += std::string(made.empty() ? "" : " ") + name;
+    }
+    return made;
   }
 
-  /// The same by the call whose flags are in memory.
-  static long name_space_by_clone3() {
-    clone_args arguments{};
-    arguments.flags = CLONE_NEWUTS;
-    arguments.exit_signal = SIGCHLD;
-    return ended(syscall(SYS_clone3, &arguments, sizeof(arguments)));
+  /// Starts processes that wait, until the kernel gives no more, and ends them. \return how many there were, and what
+  /// came of the next one
+  static std::pair<std::string, std::string> start_children(int most) {
+    std::vector<pid_t> children;
+    std::string next = "ok";
+    while (static_cast<int>(children.size()) < most) {
+      const pid_t child = fork();
+      if (child == 0) {
+        pause();
+        _exit(0);
+      }
+      next = outcome(child);
+      if (child < 0) break;
+      children.push_back(child);
+    }
+    for (const pid_t child : children) kill(child, SIGKILL);
+    for (const pid_t child : children) waitpid(child, nullptr, 0);
+    return {std::to_string(children.size()), next};
   }
 
-  static long ended(long child) {
-    if (child == 0) _exit(0);
-    if (child > 0) waitpid(static_cast<pid_t>(child), nullptr, 0);
-    return child;
+  static std::string address_of(const std::string& name) {
+    addrinfo hints{};
+    hints.ai_family = AF_INET;
+    hints.ai_socktype = SOCK_STREAM;
+    addrinfo* found = nullptr;
+    if (const int problem = getaddrinfo(name.c_str(), nullptr, &hints, &found); problem != 0)
+      return gai_strerror(problem);
+    std::array<char, INET_ADDRSTRLEN> text{};
+    inet_ntop(AF_INET, &reinterpret_cast<const sockaddr_in*>(found->ai_addr)->sin_addr, text.data(), text.size());
+    freeaddrinfo(found);
+    return text.data();
   }
 
   static long datagram(const std::string& address) {

@@ -157,6 +157,23 @@ TEST_F(CliSecurity, CertsInitMakesFilesSaysWhatIsNextAndOverwritesNothing) {
   EXPECT_TRUE(std::filesystem::exists(certs + "/lab3.pem") && std::filesystem::exists(certs + "/anna.key"));
 }
 
+TEST_F(CliSecurity, EachDaemonOfAMachineMayHaveACertificateOfItsOwn) {
+  const std::string certs = folder_ / "certs";
+  ASSERT_EQ(run({"certs", "init", certs, "--host", "lab1"}).status, 0);
+  const auto add = [&](std::vector<std::string> words) {
+    words.insert(words.begin(), {"certs", "add", certs});
+    return run(words);
+  };
+  EXPECT_EQ(add({"--host", "lab2,192.0.2.7", "--daemon", "lab2-gateway", "--gateway", "g1"}).status, 0);
+  const auto master = add({"--host", "lab2", "--daemon", "lab2-master"});
+  EXPECT_EQ(master.status, 0);
+  EXPECT_THAT(master.out, AllOf(HasSubstr("lab2-master.key  for lab2-master"), HasSubstr("advertise: \"lab2:PORT\"")));
+  EXPECT_FALSE(std::filesystem::exists(certs + "/lab2.pem"));
+  EXPECT_EQ(security::subject_in(certs + "/lab2-gateway.pem"), "CN=lab2-gateway");
+  EXPECT_EQ(add({"--daemon", "lab2-worker"}).status, 2) << "no machine";
+  EXPECT_EQ(run({"certs", "renew", certs, "lab2-gateway", "--new-key"}).status, 0);
+}
+
 TEST_F(CliSecurity, ATokenIsPrintedOnceAndListedWithoutIt) {
   const auto token = add_token("anna", "operator");
   EXPECT_THAT(token, HasSubstr("anna."));
