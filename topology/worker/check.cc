@@ -28,16 +28,18 @@ std::string find_library(const std::string& name, const std::string& yaml_file,
 
 }  // namespace
 
-void load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
-                    ComponentRegistry& components) {
+std::vector<std::string> load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
+                                        ComponentRegistry& components) {
+  std::vector<std::string> paths;
   for (const auto& name : definition.libraries) {
-    const std::string path = find_library(name, definition.file, folders);
+    paths.push_back(find_library(name, definition.file, folders));
     try {
-      load_components(path, components);
+      load_components(paths.back(), components);
     } catch (const config::Error& error) {
       throw definition.root.error("topology.library", error.what());
     }
   }
+  return paths;
 }
 
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,

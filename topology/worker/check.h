@@ -10,9 +10,9 @@ namespace iotcloud::topology {
 
 /// Loads the libraries of `topology.library` and lets them register their components.
 /// \param folders where to look for libraries that are not beside the YAML file, in this order.
-/// \throws config::ConfigError at `topology.library`.
-void load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
-                    ComponentRegistry& components);
+/// \return their paths. \throws config::ConfigError at `topology.library`.
+std::vector<std::string> load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
+                                        ComponentRegistry& components);
 
 /// Reads a topology's YAML, loads its component libraries and puts the graph together, as a worker does; contacts no
 /// registry and no broker. Accepts a file without a registry, because local mode needs none.
