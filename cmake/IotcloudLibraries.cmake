@@ -19,6 +19,7 @@ set(FAKENECT_DIR ${libfreenect_LIBDIR}/fakenect)  # its replay of recordings, wh
 pkg_check_modules(rdkafka REQUIRED IMPORTED_TARGET rdkafka)
 pkg_check_modules(seccomp REQUIRED IMPORTED_TARGET libseccomp)
 pkg_check_modules(systemd REQUIRED IMPORTED_TARGET libsystemd)
+pkg_check_modules(libzip REQUIRED IMPORTED_TARGET libzip)
 pkg_check_modules(thrift REQUIRED IMPORTED_TARGET thrift)
 # Thrift reads a field's type from the bytes into an enum before it looks at it: with hostile bytes its headers and what
 # it writes do what UBSan's check of enums forbids. GCC without -fstrict-enums gives that a meaning.
@@ -60,4 +61,9 @@ if(NOT ros_FOUND)
   message(STATUS "Left out: drivers/turtle/ros (turtle_ros.so, a TurtleBot on ROS) and its tests. They need roscpp, "
                  "geometry_msgs, nav_msgs and sensor_msgs (Debian: libroscpp-dev libgeometry-msgs-dev libnav-msgs-dev "
                  "libsensor-msgs-dev)")
+endif()
+find_package(JNI QUIET COMPONENTS JVM)
+if(NOT TARGET JNI::JNI)
+  message(STATUS "Left out: libiotcloud_storm.so, with which Apache Storm runs components of C++. It needs jni.h (Debian: "
+                 "openjdk-17-jdk-headless)")
 endif()

@@ -18,6 +18,7 @@ constexpr const char* text_pattern = "%Y-%m-%dT%H:%M:%S.%e %^%-5l%$ %v";
 constexpr const char* json_pattern = R"({"time":"%Y-%m-%dT%H:%M:%S.%e%z","level":"%l",%v})";
 
 std::atomic<LogFormat> line_format{LogFormat::text};
+std::atomic<LogTarget> line_target{nullptr};
 
 /// Writes text as a JSON string, quotes included. Replaces bytes that are not UTF-8.
 std::string quoted(std::string_view text) {
@@ -56,13 +57,19 @@ spdlog::logger& sink() {
 
 void log_line(LogLevel level, std::string_view part, std::string_view text) noexcept {
   try {
-    if (line_format == LogFormat::json) {
+    if (const LogTarget target = line_target) {
+      if (sink().should_log(to_spdlog(level))) target(level, part, text);
+    } else if (line_format == LogFormat::json) {
       sink().log(to_spdlog(level), R"("part":{},"text":{})", quoted(part), quoted(text));
     } else {
       sink().log(to_spdlog(level), "{}: {}", part, text);
     }
   } catch (...) {  // a line that cannot be written must not stop the caller
   }
+}
+
+void set_log_target(LogTarget target) {
+  line_target = target;
 }
 
 void set_log_level(LogLevel level) {

@@ -23,6 +23,11 @@ LogFormat log_format();
 /// \throws ConfigError for an unknown name.
 LogFormat parse_log_format(std::string_view name);
 
+/// Where lines go instead of stderr: called for each line on the thread that logs, several calls at a time.
+using LogTarget = void (*)(LogLevel level, std::string_view part, std::string_view text) noexcept;
+/// For a library in a process with a log of its own. Thread safe. \param target nullptr: stderr
+void set_log_target(LogTarget target);
+
 /// The section `log` of a daemon's configuration file, which SIGHUP reads again. Missing keys change nothing.
 struct LogSettings {
   std::optional<LogLevel> level;

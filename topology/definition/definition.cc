@@ -273,6 +273,7 @@ TopologyDefinition TopologyDefinition::read(YamlSection& root, const std::string
                                 .brokers = {},
                                 .conf = {},
                                 .runtime = {},
+                                .storm = {},
                                 .pages = {},
                                 .spouts = {},
                                 .bolts = {},
@@ -290,6 +291,7 @@ TopologyDefinition TopologyDefinition::read(YamlSection& root, const std::string
   definition.brokers = read_brokers(root, definition.registry.session_timeout);
   definition.conf = root.string_map("conf");
   definition.runtime = read_runtime(root);
+  definition.storm = read_storm_settings(root);
   definition.pages = rpc::read_page_settings(root);
   config::read_log_settings(root);  // the daemons' frame applies them
   const auto names = broker_names(definition.brokers);

@@ -12,6 +12,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/selection/selection.h>
 #include <iotcloud/rpc/http/page_settings.h>
+#include <iotcloud/topology/definition/storm_settings.h>
 #include <iotcloud/topology/fields.h>
 #include <iotcloud/topology/message_builder.h>
 #include <iotcloud/topology/topology_context.h>
@@ -148,6 +149,7 @@ struct TopologyDefinition {
   std::map<std::string, brokers::BrokerOptions> brokers;  ///< by logical name; URLs here override those of the gateways
   Config conf;
   RunSettings runtime;
+  StormSettings storm;
   rpc::PageSettings pages;  ///< of the worker; without an address it takes a free port of loopback
   std::vector<ComponentDefinition> spouts;
   std::vector<ComponentDefinition> bolts;

@@ -28,17 +28,20 @@ std::string find_library(const std::string& name, const std::string& yaml_file,
 
 }  // namespace
 
-void load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
-                    ComponentRegistry& components, const std::map<std::string, std::string>& paths) {
+std::vector<std::string> load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
+                                        ComponentRegistry& components,
+                                        const std::map<std::string, std::string>& known) {
+  std::vector<std::string> paths;
   for (const auto& name : definition.libraries) {
-    const auto known = paths.find(name);
-    const std::string path = known != paths.end() ? known->second : find_library(name, definition.file, folders);
+    const auto at = known.find(name);
+    paths.push_back(at != known.end() ? at->second : find_library(name, definition.file, folders));
     try {
-      load_components(path, components);
+      load_components(paths.back(), components);
     } catch (const config::Error& error) {
       throw definition.root.error("topology.library", error.what());
     }
   }
+  return paths;
 }
 
 namespace {

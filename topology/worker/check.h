@@ -11,10 +11,11 @@ namespace iotcloud::topology {
 
 /// Loads the libraries of `topology.library` and lets them register their components.
 /// \param folders where to look for libraries that are not beside the YAML file, in this order.
-/// \param paths of libraries, by how `topology.library` names them; those that are not in it are looked for.
-/// \throws config::ConfigError at `topology.library`.
-void load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
-                    ComponentRegistry& components, const std::map<std::string, std::string>& paths = {});
+/// \param known paths of libraries, by how `topology.library` names them; those that are not in it are looked for.
+/// \return the paths of all. \throws config::ConfigError at `topology.library`.
+std::vector<std::string> load_libraries(const TopologyDefinition& definition, const std::vector<std::string>& folders,
+                                        ComponentRegistry& components,
+                                        const std::map<std::string, std::string>& known = {});
 
 /// Reads a topology's YAML, loads its component libraries and puts the graph together, as a worker does; contacts no
 /// registry and no broker. Accepts a file without a registry, because local mode needs none.

@@ -14,6 +14,7 @@
 
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/options.h>
+#include <iotcloud/master/cli/topology/pack_verb.h>
 #include <iotcloud/master/cli/topology/topology_pages.h>
 #include <iotcloud/master/cli/topology/topology_tap.h>
 #include <iotcloud/master/cli/topology/topology_verbs.h>
@@ -409,6 +410,7 @@ void add_topology_verbs(Verbs& verbs) {
   group.add<Metrics>();
   group.add<Tap>();
   group.add<Check>();
+  group.add(pack_topology_verb());
 }
 
 }  // namespace iotcloud::master::cli

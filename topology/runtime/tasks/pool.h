@@ -2,6 +2,7 @@
 
 #include <array>
 #include <cstddef>
+#include <memory>
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
@@ -73,8 +74,9 @@ class Pool {
   static Cache& local() {
     if (Cache* cache = cache_of_this_thread) [[likely]]
       return *cache;
-    thread_local Cache cache;
-    return *(cache_of_this_thread = &cache);
+    // On the heap: a library that a running program loads (topology/storm) has little room for such a pointer's block.
+    thread_local const std::unique_ptr<Cache> cache = std::make_unique<Cache>();
+    return *(cache_of_this_thread = cache.get());
   }
   /// Points to local()'s object. Reading this pointer needs no function call; reading a thread_local object with a
   /// destructor does.

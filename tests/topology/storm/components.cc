@@ -1,0 +1,199 @@
+// A component library for topologies on Storm. Its bolts and spouts write what they counted into files of the folder
+// `out`, one for each task, which the test reads.
+#include <chrono>
+#include <cstdio>
+#include <deque>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <set>
+#include <stdexcept>
+#include <string>
+#include <thread>
+
+#include <unistd.h>
+
+#include <iotcloud/topology/plugin.h>
+
+namespace {
+
+namespace topology = iotcloud::topology;
+using topology::Config;
+using topology::Fields;
+using topology::Tuple;
+using topology::Values;
+
+/// A file that is replaced as a whole.
+void write_file(const Config& config, const topology::TopologyContext& context, const std::string& text) {
+  const auto path = std::filesystem::path(config.at("out")) / (context.component + "." + std::to_string(context.task));
+  const std::string partial = path.string() + ".partial";
+  std::ofstream(partial) << text;
+  std::filesystem::rename(partial, path);
+}
+
+/// Emits the numbers 1 to `count` with a key of ten, a payload and a text, and again those that failed; at the end says
+/// how many were done and how often one failed. On the stream `chosen` it names the tasks of the component `direct` in
+/// turn.
+class Numbers final : public topology::Spout {
+ public:
+  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"n", "key", "payload", "text"});
+    declarer.declare_stream("chosen", Fields{"n", "key"}, true);
+  }
+  void open(const Config& config, const topology::TopologyContext& context,
+            topology::SpoutOutputCollector& collector) override {
+    config_ = config;
+    context_ = &context;
+    collector_ = &collector;
+    count_ = std::stoll(config.at("count"));
+  }
+  bool next_tuple() override {
+    if (!again_.empty()) {
+      emit(again_.front());
+      again_.pop_front();
+      return true;
+    }
+    if (next_ > count_) return false;
+    const std::int64_t n = next_++;
+    emit(n);
+    if (const auto readers = context_->tasks_of->find("direct"); readers != context_->tasks_of->end()) {
+      const auto task = static_cast<std::size_t>(n) % readers->second.size();
+      collector_->emit_direct(readers->second[task], "chosen", Values(n, "k" + std::to_string(n % 10)));
+    }
+    return true;
+  }
+  void ack(topology::MessageId) override {
+    ++acked_;
+    write();
+  }
+  void fail(topology::MessageId id) override {
+    ++failed_;
+    again_.push_back(static_cast<std::int64_t>(id));
+    write();
+  }
+
+ private:
+  void emit(std::int64_t n) {
+    const std::string key = "k" + std::to_string(n % 10);
+    collector_->emit(Values(n, key, topology::Payload::copy(std::string(static_cast<std::size_t>(n % 300), 'x')),
+                            "z\xC3\xA4hlt " + key),
+                     static_cast<topology::MessageId>(n));
+  }
+  void write() {
+    if (acked_ < count_) return;
+    write_file(config_, *context_, "done " + std::to_string(acked_) + "\nfailed " + std::to_string(failed_) + "\n");
+  }
+
+  Config config_;
+  const topology::TopologyContext* context_ = nullptr;
+  topology::SpoutOutputCollector* collector_ = nullptr;
+  std::int64_t count_ = 0;
+  std::int64_t next_ = 1;
+  std::int64_t acked_ = 0;
+  std::int64_t failed_ = 0;
+  std::deque<std::int64_t> again_;
+};
+
+/// Emits what it gets; throws at the first copy of every hundredth number that it gets.
+class Fussy final : public topology::BasicBolt {
+ public:
+  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"n", "key", "payload", "text"});
+  }
+  void execute(const Tuple& tuple, topology::BasicOutputCollector& collector) override {
+    const auto n = tuple.get<std::int64_t>("n");
+    if (n % 100 == 0 && refused_.insert(n).second) throw std::runtime_error("not number " + std::to_string(n));
+    collector.emit(Values(n, tuple.at("key"), tuple.at("payload"), tuple.at("text")));
+  }
+
+ private:
+  std::set<std::int64_t> refused_;
+};
+
+/// Emits what it gets, and acks it from a thread of its own.
+class Later final : public topology::Bolt {
+ public:
+  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"n", "key", "payload", "text"});
+  }
+  void prepare(const Config&, const topology::TopologyContext&, topology::OutputCollector& collector) override {
+    collector_ = &collector;
+  }
+  void execute(const Tuple& tuple) override {
+    collector_->emit(tuple, Values(tuple.at("n"), tuple.at("key"), tuple.at("payload"), tuple.at("text")));
+    std::thread([this, tuple] { collector_->ack(tuple); }).join();
+  }
+
+ private:
+  topology::OutputCollector* collector_ = nullptr;
+};
+
+/// Counts tuples by their key, and different numbers, and whether all fields came as they were emitted; writes the
+/// counts at ticks.
+class Count final : public topology::BasicBolt {
+ public:
+  void prepare(const Config& config, const topology::TopologyContext& context) override {
+    config_ = config;
+    context_ = &context;
+  }
+  void execute(const Tuple& tuple, topology::BasicOutputCollector&) override {
+    if (tuple.is_tick()) {
+      ++ticks_;
+      if (changed_) write();
+      return;
+    }
+    changed_ = true;
+    const auto n = tuple.get<std::int64_t>("n");
+    const auto& key = tuple.get<std::string>("key");
+    ++by_key_[key];
+    numbers_.insert(n);
+    if (tuple.size() == 2) return;
+    const bool intact = tuple.get<topology::Payload>("payload").size() == static_cast<std::size_t>(n % 300) &&
+                        tuple.get<std::string>("text") == "z\xC3\xA4hlt " + key;
+    if (!intact) ++damaged_;
+  }
+
+ private:
+  void write() {
+    changed_ = false;
+    std::string text = "process " + std::to_string(getpid()) + "\nnumbers " + std::to_string(numbers_.size()) +
+                       "\ndamaged " + std::to_string(damaged_) + "\nticks " + std::to_string(ticks_) + "\n";
+    for (const auto& [key, count] : by_key_) text += key + " " + std::to_string(count) + "\n";
+    write_file(config_, *context_, text);
+  }
+
+  Config config_;
+  const topology::TopologyContext* context_ = nullptr;
+  bool changed_ = false;
+  std::int64_t ticks_ = 0;
+  std::int64_t damaged_ = 0;
+  std::map<std::string, std::int64_t> by_key_;
+  std::set<std::int64_t> numbers_;
+};
+
+/// Chooses the task whose place is the number modulo the count of tasks.
+class ByNumber final : public topology::Grouping {
+ public:
+  void prepare(const topology::TopologyContext&, const Fields& fields, std::span<const int> targets) override {
+    place_ = fields.find("n").value();
+    targets_ = targets;
+  }
+  void choose(const Values& values, std::vector<int>& chosen) override {
+    const auto n = static_cast<std::size_t>(std::get<std::int64_t>(values[place_]));
+    chosen.push_back(targets_[n % targets_.size()]);
+  }
+
+ private:
+  std::size_t place_ = 0;
+  std::span<const int> targets_;
+};
+
+}  // namespace
+
+IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
+  registry.add_spout<Numbers>("test.Numbers");
+  registry.add_bolt<Fussy>("test.Fussy");
+  registry.add_bolt<Later>("test.Later");
+  registry.add_bolt<Count>("test.Count");
+  registry.add_grouping<ByNumber>("test.ByNumber");
+}

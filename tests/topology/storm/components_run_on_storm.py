@@ -1,0 +1,196 @@
+#!/usr/bin/python3
+"""C++ components on a private Storm: a chain and every grouping over two workers, with exact counts; exceptions, ticks,
+answers from other threads; what `iotcloud-storm` says of them.
+
+usage: components_run_on_storm.py BUILD LIBRARY     (BUILD: build/release; LIBRARY: the library of components.cc)
+"""
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import unittest
+import zipfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
+from private_server import Unavailable, java_environment  # noqa: E402
+from storm import Storm  # noqa: E402
+import storm_jar  # noqa: E402
+
+SKIPPED = 77
+LIMIT_S = 120
+COUNT = 4000
+TASKS = 4
+GROUPINGS = {
+    "shuffle": "grouping: shuffle", "fields": "grouping: fields, fields: [key]",
+    "partial": "grouping: partial_key, fields: [key]", "all": "grouping: all", "global": "grouping: global",
+    "none": "grouping: none", "near": "grouping: local_or_shuffle", "own": "grouping: custom, class: test.ByNumber",
+    "direct": "grouping: direct, stream: chosen"}
+
+
+def yaml(library, out):
+    bolts = "".join("  %s: {class: test.Count, parallelism: %d, tick: 100ms, inputs: {from: numbers, %s}}\n" %
+                    (name, TASKS, grouping) for name, grouping in GROUPINGS.items())
+    return f"""
+topology.name: counts
+topology.library: {library}
+conf: {{out: "{out}", count: {COUNT}}}
+runtime: {{max_spout_pending: 500, message_timeout: 60s}}
+engine:
+  storm:
+    workers: 2
+    # Long waits: the test shares its cores with others.
+    spout_wait: 5ms
+    bolt_wait: 5ms
+    back_pressure_wait: 5ms
+spouts:
+  numbers: {{class: test.Numbers}}
+bolts:
+  later: {{class: test.Later, inputs: {{from: numbers}}}}
+  fussy: {{class: test.Fussy, inputs: {{from: later}}}}
+  end: {{class: test.Count, tick: 1s, deadline: 50s, inputs: {{from: fussy, grouping: global}}}}
+{bolts}"""
+
+
+class ComponentsOnStorm(unittest.TestCase):
+    build = library = storm = None
+
+    @classmethod
+    def setUpClass(cls):
+        cls.place = tempfile.TemporaryDirectory(prefix="iotcloud-storm-")
+        cls.addClassCleanup(cls.place.cleanup)
+        cls.storm = Storm(os.path.join(cls.place.name, "storm"))
+        cls.addClassCleanup(cls.storm.stop)
+        cls.storm.start()
+
+    def run_program(self, *words):
+        return subprocess.run([self.build / "bin" / "iotcloud-storm", *words], text=True, capture_output=True, check=False)
+
+    def ask(self, *words):
+        done = self.run_program(*words, "--nimbus", self.storm.url())
+        self.assertEqual(done.returncode, 0, done.stderr + self.logs())
+        return done.stdout
+
+    def table(self, *words):
+        return json.loads(self.ask(*words, "--json"))
+
+    def logs(self):
+        """What the workers' logs say of errors, for a failure's text."""
+        told = ""
+        for file in sorted((Path(self.storm.folder) / "logs" / "workers-artifacts").rglob("worker.log*")):
+            lines = file.read_text(errors="replace").splitlines()
+            errors = [number for number, line in enumerate(lines) if "[ERROR]" in line or file.suffix == ".err"]
+            told += "\n== %s\n%s" % (file, "\n".join(line for number in errors[:3] for line in lines[number:number + 12]))
+        return told
+
+    def counts(self, folder, component):
+        """By task, what it wrote: by word, a number."""
+        return {int(file.suffix[1:]): {word: int(number) for word, number in map(str.split, file.read_text().splitlines())}
+                for file in folder.glob(component + ".[0-9]*") if not file.name.endswith(".partial")}
+
+    def wait_for(self, what, holds):
+        limit = time.monotonic() + LIMIT_S
+        while not holds():
+            self.assertLess(time.monotonic(), limit, "%s within %d s%s" % (what, LIMIT_S, self.logs()))
+            time.sleep(0.1)
+
+    def test_a_chain_and_every_grouping_over_two_workers(self):
+        out = Path(self.place.name) / "out"
+        out.mkdir()
+        file = Path(self.place.name) / "counts.yaml"
+        file.write_text(yaml(self.library, out))
+        # The chain fails tuples on purpose, so submit() may already see an error of it: then it says so, and they run.
+        submitted = self.run_program("submit", str(file), "--nimbus", self.storm.url(), "--limit", "0")
+        self.assertEqual(submitted.returncode, 0, submitted.stderr)
+        self.assertIn("libstdc++.so.6", submitted.stderr)
+        self.wait_for("all numbers are done", lambda: self.counts(out, "numbers"))
+        (done,) = self.counts(out, "numbers").values()
+        refused = COUNT // 100
+        self.assertEqual(done, {"done": COUNT, "failed": refused}, self.logs())
+
+        def total(component):
+            return sum(number for task in self.counts(out, component).values() for word, number in task.items() if word[0] == "k")
+        # A failed tuple is emitted again, to the other bolts, too.
+        expected = {**dict.fromkeys(GROUPINGS, COUNT + refused), "all": TASKS * (COUNT + refused), "direct": COUNT, "end": COUNT}
+        for component, count in expected.items():
+            self.wait_for("%s has %d" % (component, count), lambda c=component, n=count: total(c) == n)
+        self.check_groupings(out, refused)
+        processes = {task["process"] for name in GROUPINGS for task in self.counts(out, name).values()}
+        self.assertEqual(len(processes), 2)
+        damaged = [task for name in expected for task in self.counts(out, name).values() if task["damaged"]]
+        self.assertEqual(damaged, [])
+        self.assertTrue(all(task["ticks"] for name in expected for task in self.counts(out, name).values()))
+        self.check_answers()
+
+    def test_storms_own_client_takes_a_packed_jar(self):
+        folder = Path(self.place.name)
+        file, jar = folder / "packed.yaml", folder / "packed.jar"
+        file.write_text(yaml(self.library, folder).replace("topology.name: counts", "topology.name: packed"))
+        packed = self.run_program("pack", file, jar)
+        self.assertEqual(packed.returncode, 0, packed.stderr)
+        with zipfile.ZipFile(jar) as archive:
+            names = archive.namelist()
+        for name in ("resources/topology.yaml", "resources/libiotcloud_storm.so", "resources/" + self.library.name,
+                     "resources/libyaml-cpp.so.0.7", "iotcloud/storm/CppBolt.class"):
+            self.assertIn(name, names)
+        self.assertNotIn("resources/libc.so.6", names)
+        # As the command `storm jar` does it.
+        done = subprocess.run(["java", "-Dstorm.jar=%s" % jar, "-cp", "%s/lib-worker/*:%s:%s/conf" % (
+            self.storm.folder, jar, self.storm.folder), "iotcloud.storm.Submit"], capture_output=True, text=True, check=False,
+                              env=java_environment())
+        self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
+        self.assertIn("packed", [row["name"] for row in self.table("list")])
+        self.ask("kill", "packed", "--wait", "0")
+
+    def check_groupings(self, out, refused):
+        by_task = {name: self.counts(out, name) for name in GROUPINGS}
+
+        def tasks_of_key(name, key):
+            return [task for task, words in by_task[name].items() if key in words]
+        keys = ["k%d" % i for i in range(10)]
+        for key in keys:
+            self.assertEqual(len(tasks_of_key("fields", key)), 1, key)
+            self.assertLessEqual(len(tasks_of_key("partial", key)), 2, key)
+        self.assertEqual(len(by_task["global"]), 1)
+        for name in ("shuffle", "none"):
+            for words in by_task[name].values():
+                share = sum(words[key] for key in keys if key in words)
+                self.assertAlmostEqual(share, (COUNT + refused) / TASKS, delta=COUNT / TASKS / 4, msg=name)
+        for name in ("all", "own", "direct"):
+            self.assertEqual(len(by_task[name]), TASKS, name)
+        for words in by_task["all"].values():
+            self.assertEqual(words["numbers"], COUNT)
+        for name in ("own", "direct"):
+            for words in by_task[name].values():
+                self.assertEqual(words["numbers"], COUNT // TASKS, name)
+
+    def check_answers(self):
+        (topology,) = [row for row in self.table("list") if row["name"] == "counts"]
+        self.assertEqual((topology["name"], topology["state"], topology["workers"]), ("counts", "ACTIVE", 2))
+        self.wait_for("the component's error", lambda: self.table("errors", "counts"))
+        error = self.table("errors", "counts")[0]
+        self.assertEqual(error["component"], "fussy")
+        self.assertRegex(error["error"], r"execute\(\) threw: not number \d+00")
+        self.assertEqual({row["component"] for row in self.table("show", "counts")}, {"numbers", "later", "fussy", "end", *GROUPINGS})
+        again = self.run_program("submit", str(Path(self.place.name) / "counts.yaml"), "--nimbus", self.storm.url())
+        self.assertEqual(again.returncode, 1)
+        self.assertIn("runs already", again.stderr)
+        self.ask("kill", "counts", "--wait", "0")
+        self.assertNotIn("counts", [row["name"] for row in self.table("list")])
+
+
+def main():
+    ComponentsOnStorm.build, ComponentsOnStorm.library = map(Path, sys.argv[1:3])
+    try:
+        storm_jar.build()
+        runner = unittest.main(argv=sys.argv[:1], exit=False)
+    except Unavailable as reason:
+        print(reason)
+        return 1 if os.environ.get("CI") == "true" else SKIPPED
+    return 0 if runner.result.wasSuccessful() else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

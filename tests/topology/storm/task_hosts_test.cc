@@ -1,0 +1,326 @@
+// What a task's C++ side makes of the calls of Java: a test plays Java, and reads the commands.
+#include <cstring>
+#include <functional>
+#include <memory>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <gmock/gmock.h>
+
+#include <iotcloud/topology/storm/shim/bolt_host.h>
+#include <iotcloud/topology/storm/shim/spout_host.h>
+#include <iotcloud/topology/storm/value_format.h>
+
+namespace iotcloud::topology::storm {
+namespace {
+
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::IsEmpty;
+using testing::MatchesRegex;
+
+/// The Java side of a task: its buffer, and the commands that it applied, as texts.
+class Java final : public CommandSink {
+ public:
+  explicit Java(std::size_t size = 1024) : buffer_(size) {}
+  std::span<std::byte> buffer() { return buffer_; }
+  void apply(std::size_t size) override {
+    at_ = buffer_.data();
+    while (at_ < buffer_.data() + size) commands.push_back(command());
+  }
+  std::span<std::byte> grow(std::size_t size) override {
+    buffer_.resize(size);
+    return buffer_;
+  }
+  void wake() noexcept override { ++wakes; }
+
+  std::vector<std::string> taken() { return std::exchange(commands, {}); }
+
+  std::vector<std::string> commands;
+  int wakes = 0;
+
+ private:
+  template <typename Number>
+  Number number() {
+    Number value{};
+    std::memcpy(&value, at_, sizeof value);
+    at_ += sizeof value;
+    return value;
+  }
+  std::string command() {
+    static constexpr const char* answers[] = {"", "", "ack", "fail", "reset", "forget"};
+    const auto kind = number<std::uint8_t>();
+    if (kind == 1 || kind == 7) return emit(kind == 1);
+    if (kind == 6) {
+      const auto size = number<std::uint32_t>();
+      std::string text(reinterpret_cast<const char*>(at_), size);
+      at_ += size;
+      return "error " + text;
+    }
+    return answers[kind] + (" " + std::to_string(number<std::uint32_t>()));
+  }
+  std::string emit(bool bolt) {
+    std::string text = "emit stream " + std::to_string(number<std::uint16_t>());
+    const auto task = number<std::int32_t>();
+    if (task >= 0) text += " task " + std::to_string(task);
+    if (bolt) {
+      for (auto count = number<std::uint32_t>(); count > 0; --count)
+        text += " @" + std::to_string(number<std::uint32_t>());
+    } else {
+      const bool tracked = number<std::uint8_t>() != 0;
+      const auto id = number<std::uint64_t>();
+      if (tracked) text += " id " + std::to_string(id);
+    }
+    // The values' size is not said: one string of few bytes is all that these tests emit, and births after it.
+    std::byte* begin = at_;
+    const auto count = number<std::uint32_t>();
+    number<std::uint8_t>();
+    at_ += number<std::uint32_t>();
+    if (count > 1) at_ += 9;
+    const Values values = decode_values({begin, static_cast<std::size_t>(at_ - begin)});
+    text += ": " + std::get<std::string>(values[0]);
+    return count > 1 ? text + ", born" : text;
+  }
+
+  std::vector<std::byte> buffer_;
+  std::byte* at_ = nullptr;
+};
+
+TaskDescription described(bool births = false) {
+  TaskDescription task;
+  task.file = "topology.yaml";
+  task.topology = "t";
+  task.component = "b";
+  task.task = 4;
+  task.tasks = {{"a", {1, 2}}, {"b", {3, 4}}, {"c", {5, 6}}};
+  task.inputs.push_back({{"a", "default", Fields{"text"}, births}, Fields{"text"}});
+  task.outputs.push_back({{"b", "chosen", Fields{"text"}, births}, true, {5, 6}});
+  task.outputs.push_back({{"b", "default", Fields{"text"}, births}, false, {}});
+  return task;
+}
+
+std::vector<std::byte> bytes_of(const Values& values) {
+  std::vector<std::byte> bytes(encoded_size(values.all()));
+  encode_values(values.all(), bytes.data());
+  return bytes;
+}
+
+/// A bolt that runs a function for each tuple.
+struct Calls final : Bolt {
+  using Call = std::function<void(const Tuple&, OutputCollector&)>;
+  explicit Calls(Call given) : call(std::move(given)) {}
+  void prepare(const Config&, const TopologyContext& given, OutputCollector& out) override {
+    context = &given;
+    collector = &out;
+  }
+  void execute(const Tuple& tuple) override { call(tuple, *collector); }
+  Call call;
+  const TopologyContext* context = nullptr;
+  OutputCollector* collector = nullptr;
+};
+
+/// A bolt's host with its Java.
+struct BoltTask {
+  explicit BoltTask(Calls::Call call, const TaskDescription& task = described(),
+                    const std::function<void(ComponentSpec&)>& change = {}, std::size_t buffer = 1024)
+      : java(buffer) {
+    ComponentSpec spec;
+    spec.id = "b";
+    spec.bolt = [this, call] {
+      auto made = std::make_unique<Calls>(call);
+      bolt = made.get();
+      return made;
+    };
+    if (change) change(spec);
+    host = std::make_unique<BoltHost>(task, spec, java.buffer(), java, queue);
+    java.apply(host->open());
+  }
+  std::vector<std::string> execute(std::uint32_t slot, const Values& values) {
+    const auto bytes = bytes_of(values);
+    java.apply(host->execute(slot, 0, 1, bytes));
+    return java.taken();
+  }
+  Java java;
+  AnswerQueue queue;
+  Calls* bolt = nullptr;
+  std::unique_ptr<BoltHost> host;
+};
+
+TEST(StormBoltHost, EmitsAnchoredAndAcks) {
+  BoltTask task([](const Tuple& tuple, OutputCollector& out) {
+    EXPECT_EQ(tuple.source_component(), "a");
+    EXPECT_EQ(tuple.source_task(), 1);
+    out.emit(tuple, Values(tuple.get<std::string>("text") + "!"));
+    out.emit(Values("alone"));
+    out.emit_direct(6, "chosen", {&tuple, 1}, Values("six"));
+    out.ack(tuple);
+    out.ack(tuple);
+  });
+  EXPECT_THAT(task.execute(7, Values("hello")),
+              ElementsAre("emit stream 1 @7: hello!", "emit stream 1: alone", "emit stream 0 task 6 @7: six", "ack 7"));
+}
+
+TEST(StormBoltHost, KnowsItsPlaceInTheTopology) {
+  const BoltTask task([](const Tuple&, OutputCollector&) {});
+  EXPECT_EQ(task.bolt->context->task_index, 1);
+  EXPECT_EQ(task.bolt->context->task_count, 2);
+  EXPECT_THAT(task.bolt->context->inputs, ElementsAre(std::pair<std::string, std::string>("a", "default")));
+  EXPECT_EQ(task.bolt->context->input_keys.at(0), Fields{"text"});
+}
+
+TEST(StormBoltHost, AnExceptionFailsTheTupleAndIsReported) {
+  BoltTask task([](const Tuple& tuple, OutputCollector& out) {
+    out.emit(tuple, Values("before"));
+    throw std::runtime_error("no");
+  });
+  EXPECT_THAT(task.execute(1, Values("x")),
+              ElementsAre("emit stream 1 @1: before", "error execute() threw: no", "fail 1"));
+}
+
+TEST(StormBoltHost, WhatDoesNotFitIsRefusedAsOurRuntimeDoes) {
+  std::vector<std::string> texts;
+  BoltTask task([&](const Tuple& tuple, OutputCollector& out) {
+    const auto refused = [&](const auto& emit) {
+      try {
+        emit();
+      } catch (const std::exception& error) {
+        texts.emplace_back(error.what());
+      }
+    };
+    refused([&] { out.emit(Values("a", "b")); });
+    refused([&] { out.emit_to("other", {}, Values("a")); });
+    refused([&] { out.emit_to("chosen", {}, Values("a")); });
+    refused([&] { out.emit_direct(5, "default", {}, Values("a")); });
+    refused([&] { out.emit_direct(3, "chosen", {}, Values("a")); });
+    refused([&] { out.emit(Values("\xFF")); });
+    out.ack(tuple);
+  });
+  EXPECT_THAT(task.execute(1, Values("x")), ElementsAre("ack 1"));
+  EXPECT_THAT(texts,
+              ElementsAre(HasSubstr("emits 2 values"), HasSubstr("does not declare"), HasSubstr("is direct"),
+                          HasSubstr("not declared direct"), HasSubstr("task 3 does not read"), HasSubstr("not UTF-8")));
+}
+
+TEST(StormBoltHost, AnswersOfOtherThreadsWaitUntilTheyAreFetched) {
+  BoltTask task([](const Tuple& tuple, OutputCollector& out) {
+    std::thread([&out, tuple] {
+      out.ack(tuple);
+      EXPECT_THROW(out.emit(Values("x")), std::logic_error);
+    }).join();
+  });
+  EXPECT_THAT(task.execute(3, Values("x")), IsEmpty());
+  EXPECT_EQ(&task.queue.wait(), task.host.get());
+  task.java.apply(task.host->take_answers());
+  EXPECT_THAT(task.java.taken(), ElementsAre("ack 3"));
+}
+
+TEST(StormBoltHost, ATupleThatIsDroppedIsForgotten) {
+  Tuple kept;
+  BoltTask task([&](const Tuple& tuple, OutputCollector&) { kept = tuple; });
+  EXPECT_THAT(task.execute(3, Values("x")), IsEmpty());
+  kept = Tuple();
+  task.java.apply(task.host->take_answers());
+  EXPECT_THAT(task.java.taken(), ElementsAre("forget 3"));
+}
+
+TEST(StormBoltHost, AFullBufferIsAppliedAndALargeCommandGetsALargerOne) {
+  BoltTask task(
+      [](const Tuple& tuple, OutputCollector& out) {
+        out.emit(Values("small"));
+        out.emit(Values(std::string(100, 'x')));
+        out.ack(tuple);
+      },
+      described(), {}, 40);
+  EXPECT_THAT(task.execute(1, Values("x")),
+              ElementsAre("emit stream 1: small", "emit stream 1: " + std::string(100, 'x'), "ack 1"));
+}
+
+TEST(StormBoltHost, TicksComeFromStormOnlyInWholeSeconds) {
+  const auto period = [](std::chrono::microseconds tick) {
+    const BoltTask task([](const Tuple&, OutputCollector&) {}, described(),
+                        [&](ComponentSpec& spec) { spec.tick = tick; });
+    return task.host->own_tick_period();
+  };
+  using std::chrono::milliseconds;
+  EXPECT_EQ(period(milliseconds(2000)).count(), 0);
+  EXPECT_EQ(period(milliseconds(1500)), milliseconds(1500));
+  bool tick = false;
+  BoltTask task([&](const Tuple& tuple, OutputCollector& out) {
+    tick = tuple.is_tick();
+    out.ack(tuple);
+  });
+  task.java.apply(task.host->tick());
+  EXPECT_TRUE(tick);
+  EXPECT_THAT(task.java.taken(), IsEmpty());
+}
+
+TEST(StormBoltHost, ALateTupleIsNotExecuted) {
+  const auto late_stream = [](ComponentSpec& spec) {
+    spec.deadline = std::chrono::seconds(10);
+    spec.late_stream = "default";
+  };
+  BoltTask task(
+      [](const Tuple& tuple, OutputCollector& out) {
+        out.emit(tuple, Values("in time"));
+        out.ack(tuple);
+      },
+      described(true), late_stream);
+  const std::int64_t now = config::system_clock().wall_ms();
+  EXPECT_THAT(task.execute(1, Values("x", now)), ElementsAre("emit stream 1 @1: in time, born", "ack 1"));
+  EXPECT_THAT(task.execute(2, Values("x", now - 60'000)), ElementsAre("emit stream 1 @2: x, born", "ack 2"));
+}
+
+/// A spout that emits once for each call, and fails at the third.
+struct Three final : Spout {
+  void declare_output_fields(OutputFieldsDeclarer&) const override {}
+  void open(const Config&, const TopologyContext& context, SpoutOutputCollector& out) override {
+    waker = context.waker;
+    collector = &out;
+  }
+  bool next_tuple() override {
+    if (++calls == 1) collector->emit(Values("tracked"), 5);
+    if (calls == 2) collector->emit(Values("untracked"));
+    if (calls == 3) throw std::runtime_error("no more");
+    return true;
+  }
+  void ack(MessageId id) override { collector->emit(Values("acked"), id + 1); }
+  int calls = 0;
+  SpoutWaker waker;
+  SpoutOutputCollector* collector = nullptr;
+};
+
+TEST(StormSpoutHost, EmitsAndIsWoken) {
+  Java java;
+  Three* spout = nullptr;
+  ComponentSpec spec;
+  spec.spout = [&] {
+    auto made = std::make_unique<Three>();
+    spout = made.get();
+    return made;
+  };
+  SpoutHost host(described(), spec, java.buffer(), java);
+  java.apply(host.open());
+  for (int i = 0; i < 3; ++i) java.apply(host.next_tuple());
+  java.apply(host.ack(5));
+  EXPECT_THAT(java.taken(), ElementsAre("emit stream 1 id 5: tracked", "emit stream 1: untracked",
+                                        "error next_tuple() threw: no more", "emit stream 1 id 6: acked"));
+  spout->waker.wake();
+  EXPECT_EQ(java.wakes, 1);
+}
+
+TEST(StormTaskDescription, IsReadFromJson) {
+  const auto task = TaskDescription::parse(R"({"folder": "/f", "file": "", "library": "l.so", "class": "C",
+    "conf": {"a": "1"}, "topology": "t", "component": "b", "task": 4, "tasks": {"a": [1], "b": [3, 4]},
+    "inputs": [{"component": "a", "stream": "s", "fields": ["x", "__born"], "key": ["x"]}],
+    "outputs": [{"component": "b", "stream": "default", "fields": ["y"], "direct": true, "targets": [1]}]})");
+  EXPECT_EQ(task.class_name, "C");
+  EXPECT_TRUE(task.inputs.at(0).births);
+  EXPECT_EQ(task.inputs.at(0).fields, Fields{"x"});
+  EXPECT_FALSE(task.outputs.at(0).births);
+  EXPECT_EQ(task.context().task_index, 1);
+  EXPECT_THROW(static_cast<void>(TaskDescription::parse("{}")), config::Error);
+}
+
+}  // namespace
+}  // namespace iotcloud::topology::storm

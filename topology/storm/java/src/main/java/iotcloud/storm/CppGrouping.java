@@ -1,0 +1,73 @@
+package iotcloud.storm;
+
+import java.nio.ByteBuffer;
+import java.nio.ByteOrder;
+import java.nio.charset.StandardCharsets;
+import java.util.ArrayList;
+import java.util.HashMap;
+import java.util.List;
+import java.util.Map;
+import org.apache.storm.generated.GlobalStreamId;
+import org.apache.storm.grouping.CustomStreamGrouping;
+import org.apache.storm.task.WorkerTopologyContext;
+
+/** A grouping of a component library. Storm makes one for each executor that emits, which has an object of C++ for each
+ * of its tasks. */
+public class CppGrouping implements CustomStreamGrouping {
+  private static final long serialVersionUID = 1;
+  private static final int BUFFER_SIZE = 1 << 16;
+  private final String file;
+  private final String topology;
+  private final String bolt;
+  private final int input;
+  private transient WorkerTopologyContext context;
+  private transient GlobalStreamId stream;
+  private transient int[] targets;
+  private transient Map<Integer, Emitter> emitters;
+
+  /** The grouping of one input of a bolt of the topology's file. */
+  public CppGrouping(String file, String topology, String bolt, Integer input) {
+    this.file = file;
+    this.topology = topology;
+    this.bolt = bolt;
+    this.input = input;
+  }
+
+  @Override
+  public void prepare(WorkerTopologyContext worker, GlobalStreamId from, List<Integer> tasks) {
+    context = worker;
+    stream = from;
+    targets = tasks.stream().mapToInt(Integer::intValue).sorted().toArray();
+    emitters = new HashMap<>();
+    Native.load(Description.folder(worker));
+  }
+
+  @Override
+  public List<Integer> chooseTasks(int task, List<Object> values) {
+    return emitters.computeIfAbsent(task, Emitter::new).choose(values);
+  }
+
+  /** The object of one emitting task. */
+  private final class Emitter {
+    private final long handle;
+    private final ValueWriter writer;
+    private final ByteBuffer chosen =
+        ByteBuffer.allocateDirect(Integer.BYTES * (targets.length + 1)).order(ByteOrder.LITTLE_ENDIAN);
+
+    Emitter(int task) {
+      handle = Native.makeGrouping(
+          Description.ofEmitter(file, topology, context, stream, task).getBytes(StandardCharsets.UTF_8),
+          bolt.getBytes(StandardCharsets.UTF_8), input, targets);
+      writer = new ValueWriter(BUFFER_SIZE, buffer -> Native.setGroupingBuffers(handle, buffer, chosen));
+    }
+
+    List<Integer> choose(List<Object> values) {
+      int count = Native.choose(handle, writer.write(values));
+      List<Integer> tasks = new ArrayList<>(count);
+      for (int i = 0; i < count; i++) {
+        tasks.add(chosen.getInt(i * Integer.BYTES));
+      }
+      return tasks;
+    }
+  }
+}

@@ -1,0 +1,104 @@
+package iotcloud.storm;
+
+import java.util.List;
+import java.util.Map;
+import org.apache.storm.Config;
+import org.apache.storm.spout.ISpout;
+import org.apache.storm.spout.SpoutOutputCollector;
+import org.apache.storm.task.TopologyContext;
+
+/** A spout of C++. Only Storm's executor calls it, so nothing emits from another thread. */
+public class CppSpout implements ISpout {
+  private static final long serialVersionUID = 1;
+  private final Origin origin;
+  private transient NativeTask task;
+
+  /** The component of the topology's file whose id is this component's. */
+  public CppSpout(String file) {
+    origin = new Origin(file);
+  }
+
+  /** The class of a component library; `conf` is a JSON object. */
+  public CppSpout(String library, String className, String conf) {
+    origin = new Origin(library, className, conf);
+  }
+
+  @Override
+  public void open(Map<String, Object> conf, TopologyContext context, SpoutOutputCollector collector) {
+    try {
+      Native.load(Description.folder(context));
+      task = new NativeTask(Description.of(origin, (String) conf.get(Config.TOPOLOGY_NAME), context),
+          Description.outputs(context), new Emitter(collector));
+      if (!Native.isSpout(task.handle)) {
+        throw new IllegalArgumentException(context.getThisComponentId() + " is a bolt in C++, not a spout");
+      }
+      task.apply(Native.open(task.handle));
+    } catch (RuntimeException | UnsatisfiedLinkError error) {
+      collector.reportError(error);
+      throw error;
+    }
+  }
+
+  @Override
+  public void nextTuple() {
+    task.apply(Native.nextTuple(task.handle));
+  }
+
+  @Override
+  public void ack(Object id) {
+    task.apply(Native.ack(task.handle, (Long) id));
+  }
+
+  @Override
+  public void fail(Object id) {
+    task.apply(Native.fail(task.handle, (Long) id));
+  }
+
+  @Override
+  public void activate() {
+    task.apply(Native.activate(task.handle, true));
+  }
+
+  @Override
+  public void deactivate() {
+    task.apply(Native.activate(task.handle, false));
+  }
+
+  @Override
+  public void close() {
+    task.apply(Native.close(task.handle));
+  }
+
+  /** Applies the component's commands. */
+  private static final class Emitter implements NativeTask.Collector {
+    private final SpoutOutputCollector collector;
+
+    Emitter(SpoutOutputCollector collector) {
+      this.collector = collector;
+    }
+
+    @Override
+    public void emit(String stream, int to, Long id, List<Object> values) {
+      if (to < 0) {
+        collector.emit(stream, values, id);
+      } else {
+        collector.emitDirect(to, stream, values, id);
+      }
+    }
+
+    @Override
+    public void emit(String stream, int to, int[] anchors, int count, List<Object> values) {
+      throw new IllegalStateException("a spout emits as a bolt");
+    }
+
+    @Override
+    public void answer(byte command, int slot) {
+      throw new IllegalStateException("a spout answers as a bolt");
+    }
+
+    @Override
+    public void reportError(Throwable error) {
+      collector.reportError(error);
+    }
+  }
+}

@@ -1,0 +1,130 @@
+package iotcloud.storm;
+
+import java.util.ArrayList;
+import java.util.Collection;
+import java.util.Collections;
+import java.util.HashMap;
+import java.util.LinkedHashMap;
+import java.util.List;
+import java.util.Map;
+import java.util.TreeMap;
+import org.apache.storm.generated.GlobalStreamId;
+import org.apache.storm.generated.Grouping;
+import org.apache.storm.shade.net.minidev.json.JSONValue;
+import org.apache.storm.task.TopologyContext;
+import org.apache.storm.task.WorkerTopologyContext;
+
+/** What C++ is told of a task, as JSON (topology/storm/shim/task_description.h). */
+final class Description {
+  private Description() {}
+
+  /** The folder into which Storm puts what stands below resources/ in the topology's jar. */
+  static String folder(WorkerTopologyContext context) {
+    return context.getCodeDir();
+  }
+
+  /** The streams that feed a bolt, in an order that does not depend on the worker. */
+  static List<GlobalStreamId> inputs(TopologyContext context) {
+    List<GlobalStreamId> inputs = new ArrayList<>();
+    for (GlobalStreamId source : context.getThisSources().keySet()) {
+      if (!source.get_componentId().startsWith("__")) {
+        inputs.add(source);
+      }
+    }
+    Collections.sort(inputs);
+    return inputs;
+  }
+
+  /** The streams that a component declares, in an order that does not depend on the worker. */
+  static List<String> outputs(TopologyContext context) {
+    List<String> streams = new ArrayList<>();
+    for (String stream : context.getThisStreams()) {
+      if (!stream.startsWith("__")) {
+        streams.add(stream);
+      }
+    }
+    Collections.sort(streams);
+    return streams;
+  }
+
+  static String of(Origin origin, String topology, TopologyContext context) {
+    String component = context.getThisComponentId();
+    List<Object> inputs = new ArrayList<>();
+    for (GlobalStreamId source : inputs(context)) {
+      Grouping grouping = context.getThisSources().get(source);
+      Map<String, Object> input =
+          stream(source.get_componentId(), source.get_streamId(),
+              context.getComponentOutputFields(source.get_componentId(), source.get_streamId()).toList());
+      input.put("key", grouping.is_set_fields() ? grouping.get_fields() : Collections.emptyList());
+      inputs.add(input);
+    }
+    List<Object> outputs = new ArrayList<>();
+    for (String stream : outputs(context)) {
+      boolean direct = context.getRawTopology().get_spouts().containsKey(component)
+          ? context.getRawTopology().get_spouts().get(component).get_common().get_streams().get(stream).is_direct()
+          : context.getRawTopology().get_bolts().get(component).get_common().get_streams().get(stream).is_direct();
+      Map<String, Object> output = stream(component, stream, context.getThisOutputFields(stream).toList());
+      output.put("direct", direct);
+      output.put("targets", direct ? readers(context, stream) : Collections.emptyList());
+      outputs.add(output);
+    }
+    return json(origin, topology, context, component, context.getThisTaskId(), inputs, outputs);
+  }
+
+  /** Of a task that emits to a stream with a grouping of ours. */
+  static String ofEmitter(String file, String topology, WorkerTopologyContext context, GlobalStreamId stream, int task) {
+    String component = stream.get_componentId();
+    Map<String, Object> output = stream(component, stream.get_streamId(),
+        context.getComponentOutputFields(component, stream.get_streamId()).toList());
+    output.put("direct", false);
+    output.put("targets", Collections.emptyList());
+    return json(new Origin(file), topology, context, component, task, Collections.emptyList(),
+        Collections.singletonList(output));
+  }
+
+  private static Map<String, Object> stream(String component, String stream, List<String> fields) {
+    Map<String, Object> described = new HashMap<>();
+    described.put("component", component);
+    described.put("stream", stream);
+    described.put("fields", fields);
+    return described;
+  }
+
+  private static List<Integer> readers(TopologyContext context, String stream) {
+    List<Integer> tasks = new ArrayList<>();
+    Map<String, Grouping> targets = context.getThisTargets().getOrDefault(stream, Collections.emptyMap());
+    for (String reader : targets.keySet()) {
+      tasks.addAll(context.getComponentTasks(reader));
+    }
+    Collections.sort(tasks);
+    return tasks;
+  }
+
+  private static Map<String, List<Integer>> tasks(WorkerTopologyContext context) {
+    Map<String, List<Integer>> tasks = new TreeMap<>();
+    for (Map.Entry<Integer, String> task : context.getTaskToComponent().entrySet()) {
+      if (!task.getValue().startsWith("__")) {
+        tasks.computeIfAbsent(task.getValue(), id -> new ArrayList<>()).add(task.getKey());
+      }
+    }
+    tasks.values().forEach(Collections::sort);
+    return tasks;
+  }
+
+  private static String json(Origin origin, String topology, WorkerTopologyContext context, String component, int task,
+      Collection<Object> inputs, Collection<Object> outputs) {
+    Map<String, Object> all = new LinkedHashMap<>();
+    all.put("folder", folder(context));
+    all.put("file", origin.file);
+    all.put("library", origin.library);
+    all.put("class", origin.className);
+    all.put("conf", origin.conf);
+    all.put("topology", topology);
+    all.put("component", component);
+    all.put("task", task);
+    all.put("tasks", tasks(context));
+    all.put("inputs", inputs);
+    all.put("outputs", outputs);
+    return JSONValue.toJSONString(all);
+  }
+}

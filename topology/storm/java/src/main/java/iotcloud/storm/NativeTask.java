@@ -1,0 +1,167 @@
+package iotcloud.storm;
+
+import java.nio.ByteBuffer;
+import java.nio.ByteOrder;
+import java.nio.charset.StandardCharsets;
+import java.util.ArrayList;
+import java.util.List;
+import java.util.concurrent.locks.LockSupport;
+
+/**
+ * A task's half in Java: the buffers that it shares with C++, and how the commands are applied that C++ left there
+ * (topology/storm/shim/command_writer.h). One call at a time.
+ */
+final class NativeTask {
+  private static final int BUFFER_SIZE = 1 << 20;
+  private static final byte EMIT_OF_BOLT = 1;
+  private static final byte ACK = 2;
+  private static final byte FAIL = 3;
+  private static final byte RESET = 4;
+  private static final byte FORGET = 5;
+  private static final byte ERROR = 6;
+  private static final byte EMIT_OF_SPOUT = 7;
+  // As in value_format.h.
+  private static final byte NULL = 0;
+  private static final byte NO = 1;
+  private static final byte YES = 2;
+  private static final byte INTEGER = 3;
+  private static final byte REAL = 4;
+  private static final byte STRING = 5;
+
+  /** What commands are about. */
+  interface Collector {
+    void emit(String stream, int task, int[] anchors, int count, List<Object> values);
+
+    void emit(String stream, int task, Long id, List<Object> values);
+
+    void answer(byte command, int slot);
+
+    void reportError(Throwable error);
+  }
+
+  static boolean isAck(byte command) {
+    return command == ACK;
+  }
+
+  static boolean isFail(byte command) {
+    return command == FAIL;
+  }
+
+  static boolean isReset(byte command) {
+    return command == RESET;
+  }
+
+  final long handle;
+  final ValueWriter input;
+  private final List<String> streams;
+  private final Collector collector;
+  private volatile Thread executor;
+  private ByteBuffer output = newBuffer(BUFFER_SIZE);
+  private int[] anchors = new int[16];
+
+  /** Makes the component in C++. */
+  NativeTask(String description, List<String> streams, Collector collector) {
+    this.streams = streams;
+    this.collector = collector;
+    this.executor = Thread.currentThread();
+    handle = Native.makeTask(this, description.getBytes(StandardCharsets.UTF_8), output);
+    input = new ValueWriter(BUFFER_SIZE, buffer -> Native.setInput(handle, buffer));
+  }
+
+  private static ByteBuffer newBuffer(long size) {
+    return ByteBuffer.allocateDirect(Math.toIntExact(size)).order(ByteOrder.LITTLE_ENDIAN);
+  }
+
+  /** Called by C++, when a command does not fit into the output. */
+  ByteBuffer grow(long size) {
+    output = newBuffer(size);
+    return output;
+  }
+
+  /** Called by C++, on any thread, when a spout has something to emit. */
+  void wake() {
+    LockSupport.unpark(executor);
+  }
+
+  /** Applies the commands in the first bytes of the output; C++ calls it, too, when the output is full. */
+  void apply(int size) {
+    output.clear().limit(size);
+    while (output.hasRemaining()) {
+      byte command = output.get();
+      switch (command) {
+        case EMIT_OF_BOLT:
+          emitOfBolt();
+          break;
+        case EMIT_OF_SPOUT:
+          emitOfSpout();
+          break;
+        case ERROR:
+          collector.reportError(new ComponentError(new String(bytes(), StandardCharsets.UTF_8)));
+          break;
+        case ACK:
+        case FAIL:
+        case RESET:
+        case FORGET:
+          collector.answer(command, output.getInt());
+          break;
+        default:
+          throw new IllegalStateException("C++ and Java of this jar are of different builds: command " + command);
+      }
+    }
+  }
+
+  private void emitOfBolt() {
+    String stream = streams.get(output.getShort());
+    int task = output.getInt();
+    int count = output.getInt();
+    if (count > anchors.length) {
+      anchors = new int[count];
+    }
+    for (int i = 0; i < count; i++) {
+      anchors[i] = output.getInt();
+    }
+    collector.emit(stream, task, anchors, count, values());
+  }
+
+  private void emitOfSpout() {
+    String stream = streams.get(output.getShort());
+    int task = output.getInt();
+    boolean tracked = output.get() != 0;
+    long id = output.getLong();
+    collector.emit(stream, task, tracked ? Long.valueOf(id) : null, values());
+  }
+
+  private List<Object> values() {
+    int count = output.getInt();
+    List<Object> values = new ArrayList<>(count);
+    for (int i = 0; i < count; i++) {
+      values.add(value());
+    }
+    return values;
+  }
+
+  private Object value() {
+    switch (output.get()) {
+      case NULL:
+        return null;
+      case NO:
+        return Boolean.FALSE;
+      case YES:
+        return Boolean.TRUE;
+      case INTEGER:
+        return output.getLong();
+      case REAL:
+        return output.getDouble();
+      case STRING:
+        return new String(bytes(), StandardCharsets.UTF_8);
+      default:
+        return bytes();
+    }
+  }
+
+  private byte[] bytes() {
+    byte[] bytes = new byte[output.getInt()];
+    output.get(bytes);
+    return bytes;
+  }
+}

@@ -1,0 +1,44 @@
+package iotcloud.storm;
+
+import java.util.Arrays;
+import org.apache.storm.tuple.Tuple;
+
+/** The tuples that a bolt of C++ has not answered yet, by the numbers under which it knows them. */
+final class Slots {
+  private Tuple[] tuples = new Tuple[64];
+  private int[] free = new int[64];
+  private int freeCount;
+
+  Slots() {
+    addFree(0);
+  }
+
+  private void addFree(int from) {
+    for (int slot = tuples.length - 1; slot >= from; slot--) {
+      free[freeCount++] = slot;
+    }
+  }
+
+  int put(Tuple tuple) {
+    if (freeCount == 0) {
+      int before = tuples.length;
+      tuples = Arrays.copyOf(tuples, 2 * before);
+      free = new int[2 * before];
+      addFree(before);
+    }
+    int slot = free[--freeCount];
+    tuples[slot] = tuple;
+    return slot;
+  }
+
+  Tuple get(int slot) {
+    return tuples[slot];
+  }
+
+  Tuple take(int slot) {
+    Tuple tuple = tuples[slot];
+    tuples[slot] = null;
+    free[freeCount++] = slot;
+    return tuple;
+  }
+}

@@ -1,0 +1,93 @@
+package iotcloud.storm;
+
+import java.nio.BufferOverflowException;
+import java.nio.ByteBuffer;
+import java.nio.ByteOrder;
+import java.nio.charset.StandardCharsets;
+import java.util.List;
+import java.util.function.Consumer;
+
+/** Writes a tuple's values for C++, as topology/storm/value_format.h describes them. */
+final class ValueWriter {
+  private static final byte NULL = 0;
+  private static final byte NO = 1;
+  private static final byte YES = 2;
+  private static final byte INTEGER = 3;
+  private static final byte REAL = 4;
+  private static final byte STRING = 5;
+  private static final byte PAYLOAD = 6;
+
+  private final Consumer<ByteBuffer> replaced;
+  private ByteBuffer buffer;
+
+  /** `replaced` gets the first buffer, and each larger one that takes its place. */
+  ValueWriter(int size, Consumer<ByteBuffer> replaced) {
+    this.replaced = replaced;
+    replace(size);
+  }
+
+  private void replace(int size) {
+    buffer = ByteBuffer.allocateDirect(size).order(ByteOrder.LITTLE_ENDIAN);
+    replaced.accept(buffer);
+  }
+
+  /** Returns how many bytes it wrote. Throws IllegalArgumentException for a value that C++ cannot have. */
+  int write(List<Object> values) {
+    while (true) {
+      try {
+        buffer.clear();
+        buffer.putInt(values.size());
+        for (int i = 0; i < values.size(); i++) {
+          write(values.get(i), i);
+        }
+        return buffer.position();
+      } catch (BufferOverflowException full) {
+        replace(Math.multiplyExact(buffer.capacity(), 2));
+      }
+    }
+  }
+
+  private void write(Object value, int place) {
+    if (value instanceof Long || value instanceof Integer || value instanceof Short || value instanceof Byte) {
+      buffer.put(INTEGER).putLong(((Number) value).longValue());
+    } else if (value instanceof String) {
+      bytes(STRING, ((String) value).getBytes(StandardCharsets.UTF_8));
+    } else if (value instanceof byte[]) {
+      bytes(PAYLOAD, (byte[]) value);
+    } else if (value instanceof Double || value instanceof Float) {
+      buffer.put(REAL).putDouble(((Number) value).doubleValue());
+    } else if (value instanceof Boolean) {
+      buffer.put((Boolean) value ? YES : NO);
+    } else if (value == null) {
+      buffer.put(NULL);
+    } else {
+      throw new NoValue(place, value.getClass());
+    }
+  }
+
+  private void bytes(byte kind, byte[] bytes) {
+    buffer.put(kind).putInt(bytes.length).put(bytes);
+  }
+
+  /** A value that C++ cannot have. */
+  static final class NoValue extends IllegalArgumentException {
+    private static final long serialVersionUID = 1;
+    private final int place;
+    private final Class<?> is;
+
+    NoValue(int place, Class<?> is) {
+      super("value " + place + " is a " + is.getName());
+      this.place = place;
+      this.is = is;
+    }
+
+    String of(String source, String field) {
+      return "the field \"" + field + "\" of " + source + " is a " + is.getName() + "; C++ components take null, Boolean, "
+          + "Long (or Integer, Short, Byte), Double (or Float), String and byte[]";
+    }
+
+    int place() {
+      return place;
+    }
+  }
+}

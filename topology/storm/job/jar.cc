@@ -1,0 +1,122 @@
+#include <filesystem>
+#include <map>
+#include <memory>
+#include <utility>
+
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+#include <zip.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/topology/storm/job/jar.h>
+#include <iotcloud/topology/storm/job/needed_libraries.h>
+#include <iotcloud/topology/storm/shim/component_source.h>
+
+namespace iotcloud::topology::storm {
+
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* classes_name = "iotcloud-storm.jar";
+constexpr const char* library_name = "libiotcloud_storm.so";
+// As Submit.java reads them.
+constexpr const char* job_name = "iotcloud-job.json";
+constexpr const char* topology_name = "iotcloud-topology.bin";
+
+std::string find_file(const char* name, const std::vector<fs::path>& folders, const char* remedy) {
+  std::string places;
+  for (const fs::path& folder : folders) {
+    if (fs::exists(folder / name)) return folder / name;
+    places += (places.empty() ? "" : ", ") + folder.string();
+  }
+  throw config::Error(fmt::format("{} is not in {}; {}", name, places, remedy));
+}
+
+/// A jar that is being written; without finish() the file stays as it was.
+class Archive {
+ public:
+  explicit Archive(const std::string& file) : file_(file) {
+    int code = 0;
+    archive_ = zip_open(file.c_str(), ZIP_CREATE, &code);
+    if (archive_ != nullptr) return;
+    zip_error_t error;
+    zip_error_init_with_code(&error, code);
+    const std::string why = zip_error_strerror(&error);
+    zip_error_fini(&error);
+    throw config::Error(fmt::format("{} cannot be written: {}", file, why));
+  }
+  ~Archive() {
+    if (archive_ != nullptr) zip_discard(archive_);
+  }
+  Archive(const Archive&) = delete;
+  Archive& operator=(const Archive&) = delete;
+
+  void add_file(const std::string& name, const std::string& path) {
+    add(name, zip_source_file(archive_, path.c_str(), 0, -1));
+  }
+  /// \param text lives until finish().
+  void add_text(const std::string& name, const std::string& text) {
+    add(name, zip_source_buffer(archive_, text.data(), text.size(), 0));
+  }
+  void finish() {
+    if (zip_close(archive_) != 0) fail();
+    archive_ = nullptr;
+  }
+
+ private:
+  void add(const std::string& name, zip_source_t* source) {
+    if (source == nullptr) fail();
+    if (zip_file_add(archive_, name.c_str(), source, ZIP_FL_ENC_UTF_8) >= 0) return;
+    zip_source_free(source);
+    fail();
+  }
+  [[noreturn]] void fail() {
+    throw config::Error(fmt::format("{} cannot be written: {}", file_, zip_strerror(archive_)));
+  }
+
+  const std::string file_;
+  zip_t* archive_ = nullptr;
+};
+
+}  // namespace
+
+ShimFiles ShimFiles::find() {
+  const fs::path program = fs::read_symlink("/proc/self/exe").parent_path();
+  const fs::path installed = program.parent_path() / "lib/iotcloud/storm";
+  return {find_file(classes_name, {installed, program.parent_path().parent_path() / "storm"},
+                    "\"./dev storm jar\" makes it, with Maven"),
+          find_file(library_name, {installed, program.parent_path() / "storm"},
+                    "it is made where a JDK is installed (Debian: openjdk-17-jdk-headless)")};
+}
+
+JarContents write_jar(const Job& job, const ShimFiles& shim, const std::string& file) {
+  std::vector<std::string> libraries = job.libraries;
+  libraries.push_back(shim.library);
+  const NeededLibraries needed = needed_libraries(libraries);
+  std::map<std::string, std::string> resources;  // path by name
+  for (const auto* paths : {&std::as_const(libraries), &needed.taken}) {
+    for (const std::string& path : *paths) {
+      const auto [known, fresh] = resources.emplace(fs::path(path).filename(), path);
+      if (fresh || fs::equivalent(known->second, path)) continue;
+      throw config::Error(
+          fmt::format("{} and {} have one name; in the jar they would be one file", known->second, path));
+    }
+  }
+  const std::string said =
+      nlohmann::ordered_json{{"name", job.name}, {"conf", nlohmann::ordered_json::parse(job.conf)}}.dump();
+  const fs::path partial = file + ".partial";
+  std::error_code error;
+  fs::copy_file(shim.classes, partial, fs::copy_options::overwrite_existing, error);
+  if (error) throw config::Error(fmt::format("{} cannot be written: {}", file, error.message()));
+  Archive archive(partial);
+  for (const auto& [name, path] : resources) archive.add_file("resources/" + name, path);
+  archive.add_file(std::string("resources/") + topology_file, job.file);
+  archive.add_text(job_name, said);
+  archive.add_text(topology_name, job.topology);
+  archive.finish();
+  fs::rename(partial, file);
+  return {needed.taken, needed.expected};
+}
+
+}  // namespace iotcloud::topology::storm

@@ -1,0 +1,227 @@
+#include <algorithm>
+#include <chrono>
+#include <set>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include <iotcloud/topology/storm/job/storm_limits.h>
+
+namespace iotcloud::topology::storm {
+
+namespace {
+
+using config::YamlSection;
+using std::chrono::microseconds;
+using std::chrono::seconds;
+
+/// What is checked, and where findings go.
+struct Check {
+  const TopologyDefinition& definition;
+  const Topology& topology;
+  std::vector<std::string> notes;
+};
+
+const ComponentDefinition* find_definition(const TopologyDefinition& definition, const std::string& id) {
+  for (const auto* group : {&definition.spouts, &definition.bolts}) {
+    for (const auto& component : *group) {
+      if (component.id == id) return &component;
+    }
+  }
+  return nullptr;
+}
+
+/// Refuses at a component's key; at the library's if an application made it.
+void refuse(const Check& check, const std::string& component, const std::string& key, const std::string& problem,
+            const std::string& remedy) {
+  if (const auto* written = find_definition(check.definition, component)) {
+    written->section.refuse(key, problem, remedy);
+  } else {
+    check.definition.root.refuse("topology.library", component + ": " + problem, remedy);
+  }
+}
+
+std::string text_of(microseconds time) {
+  return time % seconds(1) == seconds(0)
+             ? fmt::format("{}s", time / seconds(1))
+             : fmt::format("{}ms", std::chrono::ceil<std::chrono::milliseconds>(time).count());
+}
+
+void check_name(Check& check) {
+  const std::string& name = check.definition.name.str();
+  if (name.find_first_of("/.:\\") == std::string::npos) return;
+  check.definition.root.refuse("topology.name", "Storm takes no \"/\", \".\", \":\" or \"\\\" in a topology's name",
+                               "write \"-\", for example");
+}
+
+void check_endpoints(Check& check) {
+  for (const auto* group : {&check.definition.spouts, &check.definition.bolts}) {
+    for (const auto& component : *group) {
+      if (!component.endpoint) continue;
+      component.section.refuse("broker", "a component that faces a broker does not run on Storm",
+                               "run the topology with iotcloud-topology, or let a class of a library read and send");
+    }
+  }
+}
+
+void check_streams(Check& check) {
+  for (const auto& [component, streams] : check.topology.streams) {
+    for (const auto& [stream, spec] : streams) {
+      if (!stream.starts_with("__")) continue;
+      refuse(check, component, "class", "it declares the stream \"" + stream + "\"; such names are Storm's own",
+             "give the stream another name");
+    }
+  }
+}
+
+/// Storm knows an input by component and stream alone.
+void check_double_inputs(Check& check) {
+  for (const auto& component : check.topology.components) {
+    std::set<std::pair<std::string, std::string>> known;
+    for (const auto& input : component.inputs) {
+      if (known.emplace(input.from, input.stream).second) continue;
+      refuse(check, component.id, "inputs",
+             "Storm feeds a bolt once with the stream \"" + input.stream + "\" of " + input.from,
+             "remove an input, or let another bolt take it");
+    }
+  }
+}
+
+void check_keep_last(Check& check) {
+  for (const auto& component : check.topology.components) {
+    const bool keeps = std::any_of(component.inputs.begin(), component.inputs.end(),
+                                   [](const InputSpec& input) { return input.keep_last > 0; });
+    if (!keeps) continue;
+    refuse(check, component.id, "inputs", "Storm's queues keep all tuples, there is no keep_last",
+           "remove \"keep_last\", give the bolt a \"deadline\", or run the topology with iotcloud-topology");
+  }
+}
+
+/// `scope: worker` says that a result for each worker is meant; on Storm an input regroups over all of them.
+void check_scope(Check& check) {
+  for (const auto& bolt : check.definition.bolts) {
+    if (!bolt.worker_scope && !check.definition.worker_scope) continue;
+    const auto crosses = [](const InputDefinition& input) {
+      const bool keyed = input.grouping == "fields" || input.grouping == "partial_key";
+      const bool driver = input.fields.find("driverID") || input.fields.find("sensorID");
+      return input.grouping == "global" || input.grouping == "all" || (keyed && !driver);
+    };
+    if (std::none_of(bolt.inputs.begin(), bolt.inputs.end(), crosses)) continue;
+    const bool own = bolt.worker_scope;
+    const YamlSection& section = own ? bolt.section : check.definition.root;
+    section.refuse(own ? "scope" : "topology.scope",
+                   "on Storm " + bolt.id + " gets the tuples of all workers, not those of its own",
+                   "remove \"scope\" for one result of all workers, or run the topology with iotcloud-topology");
+    if (!own) return;
+  }
+}
+
+/// The state's place, if the component's configuration says it.
+std::string store_of(const Check& check, const ComponentSpec& component) {
+  const auto own = component.config.find("state.store");
+  if (own != component.config.end()) return own->second;
+  const auto all = check.definition.conf.find("state.store");
+  return all != check.definition.conf.end() ? all->second : "";
+}
+
+YamlSection conf_with(const Check& check, const ComponentSpec& component, const std::string& key) {
+  const auto* written = find_definition(check.definition, component.id);
+  YamlSection owner = written != nullptr && written->conf.contains(key) ? written->section : check.definition.root;
+  return owner.require_section("conf");
+}
+
+void check_state(Check& check) {
+  for (const auto& component : check.topology.components) {
+    const std::string store = store_of(check, component);
+    if (store.starts_with("memory://")) {
+      check.notes.push_back(component.id +
+                            ": its state is in memory, so it is lost whenever Storm starts the worker anew");
+    }
+    constexpr std::string_view rocksdb = "rocksdb://";
+    if (!store.starts_with(rocksdb)) continue;
+    const std::string path = store.substr(rocksdb.size());
+    const auto& shared = check.definition.storm.shared_folders;
+    const auto has_it = [&](const std::string& folder) {
+      return path.starts_with(folder.ends_with('/') ? folder : folder + "/");
+    };
+    if (std::any_of(shared.begin(), shared.end(), has_it)) continue;
+    conf_with(check, component, "state.store")
+        .refuse(
+            "state.store",
+            "Storm may move " + component.id + " to another machine, which has no \"" + path + "\" of the first one",
+            "name a Redis, or say in \"engine.storm.shared_folders\" that all machines have the folder in common");
+  }
+}
+
+/// Passwords in what every user of the cluster can read: the jar, and Storm's configuration of the topology.
+void check_secrets(Check& check) {
+  const auto has_password = [](const std::string& url) {
+    const auto begin = url.find("://");
+    const auto at = url.find('@', begin == std::string::npos ? 0 : begin);
+    return begin != std::string::npos && at != std::string::npos &&
+           url.substr(begin + 3, at - begin - 3).find(':') != std::string::npos;
+  };
+  const std::string problem = "the password would be in the topology's jar, which all users of the cluster can read";
+  const std::string remedy = "put it into a file on the machines of the cluster (\"password_file\")";
+  for (const auto& [name, broker] : check.definition.brokers) {
+    if (std::any_of(broker.urls.begin(), broker.urls.end(), has_password))
+      YamlSection(check.definition.root).require_section("brokers").refuse(name, problem, remedy);
+  }
+  if (has_password(check.definition.registry.url)) check.definition.root.refuse("registry", problem, remedy);
+  const auto check_conf = [&](YamlSection section, const Config& conf) {
+    for (const auto& [key, value] : conf) {
+      if (has_password(value)) section.require_section("conf").refuse(key, problem, remedy);
+    }
+  };
+  check_conf(check.definition.root, check.definition.conf);
+  for (const auto* group : {&check.definition.spouts, &check.definition.bolts}) {
+    for (const auto& component : *group) check_conf(component.section, component.conf);
+  }
+}
+
+/// Storm's time-out must be longer than bolts keep tuples, or every one of them fails.
+void check_holds(Check& check) {
+  const auto timeout = std::chrono::ceil<seconds>(check.definition.runtime.message_timeout);
+  if (timeout != check.definition.runtime.message_timeout) {
+    check.notes.push_back("runtime.message_timeout: Storm counts whole seconds, so it is " + text_of(timeout));
+  }
+  if (!check.definition.runtime.acking) return;
+  std::map<std::string, microseconds> held;  // longest, by component
+  for (const auto& component : check.topology.components) {
+    microseconds before{0};
+    for (const auto& input : component.inputs) before = std::max(before, held[input.from]);
+    const bool for_a_time = component.holds.count() > 0 && component.holds != Bolt::until_others_come;
+    held[component.id] = before + (for_a_time ? component.holds : microseconds(0));
+    if (!for_a_time || held[component.id] < timeout) continue;
+    refuse(check, component.id, "class",
+           fmt::format("tuples are kept for {}, and runtime.message_timeout is {}, so each of them would fail",
+                       text_of(held[component.id]), text_of(timeout)),
+           "set \"runtime.message_timeout\" to twice " + text_of(held[component.id]) + ", or make the window shorter");
+  }
+}
+
+/// Keys that mean something to our workers only.
+void note_without_meaning(Check& check) {
+  const auto note = [&](bool given, const char* text) {
+    if (given) check.notes.emplace_back(text);
+  };
+  note(check.definition.runtime.threads > 0, "runtime.threads: Storm has a thread for each executor");
+  note(!check.definition.order_keys.empty(),
+       "orders.trusted_keys: orders go to Storm's Nimbus, which has rights of its own");
+  note(!check.definition.pages.address.empty(), "metrics.address: Storm's workers have no pages of ours");
+}
+
+}  // namespace
+
+std::vector<std::string> check_limits(const TopologyDefinition& definition, const Topology& topology) {
+  Check check{definition, topology, {}};
+  definition.root.all_errors([&] {
+    for (const auto part : {check_name, check_endpoints, check_streams, check_double_inputs, check_keep_last,
+                            check_scope, check_state, check_secrets, check_holds, note_without_meaning}) {
+      part(check);
+    }
+  });
+  return std::move(check.notes);
+}
+
+}  // namespace iotcloud::topology::storm

@@ -1,0 +1,294 @@
+#include <algorithm>
+#include <fstream>
+#include <sstream>
+#include <thread>
+#include <utility>
+
+#include <fmt/format.h>
+#include <thrift/TApplicationException.h>
+#include <thrift/protocol/TBinaryProtocol.h>
+#include <thrift/transport/TBufferTransports.h>
+#include <thrift/transport/TTransportException.h>
+
+#include "iotcloud/topology/storm/Nimbus.h"
+#include <iotcloud/rpc/listen_settings.h>
+#include <iotcloud/rpc/thrift_client.h>
+#include <iotcloud/topology/storm/nimbus/nimbus_client.h>
+
+namespace iotcloud::topology::storm {
+
+using apache::thrift::TException;
+using apache::thrift::transport::TTransportException;
+using std::chrono::milliseconds;
+
+namespace {
+
+using Client = idl::NimbusClient;
+
+constexpr milliseconds answer_limit{30'000};
+constexpr milliseconds search_pause{200};
+/// What fits into a message of a Nimbus with the usual limit of 1 MiB; Storm's own client sends as much.
+constexpr std::size_t chunk_size = 307'200;
+
+struct Connection {
+  explicit Connection(const std::string& address) : to(address), client(nullptr) {
+    const auto parts = rpc::split_address(address);
+    rpc::ThriftClientOptions options;
+    options.host = parts.host;
+    options.port = parts.port;
+    options.answer_limit = answer_limit;
+    transport = std::make_unique<rpc::ThriftClient>(options);
+    client = Client(transport->protocol());
+  }
+  std::string to;
+  std::unique_ptr<rpc::ThriftClient> transport;
+  Client client;
+};
+
+RunningTopology running(const idl::TopologySummary& summary) {
+  return {summary.id,          summary.name,       summary.status, summary.num_tasks, summary.num_executors,
+          summary.num_workers, summary.uptime_secs};
+}
+
+bool is_own(const std::string& component) {
+  return component.starts_with("__");
+}
+
+/// The first line of a Java exception's text, without the class of ours, which tells nothing.
+std::string without_stack(const std::string& error) {
+  const std::string line = error.substr(0, error.find('\n'));
+  constexpr std::string_view ours = "iotcloud.storm.ComponentError: ";
+  return line.starts_with(ours) ? line.substr(ours.size()) : line;
+}
+
+std::vector<ReportedError> errors_of(const std::map<std::string, std::vector<idl::ErrorInfo>>& by_component) {
+  std::vector<ReportedError> errors;
+  for (const auto& [component, reported] : by_component) {
+    for (const auto& each : reported)
+      errors.push_back({component, without_stack(each.error), each.error_time_secs, each.host, each.port});
+  }
+  std::sort(errors.begin(), errors.end(), [](const auto& a, const auto& b) { return a.at_s > b.at_s; });
+  return errors;
+}
+
+ComponentCounts counts_of(const std::string& component, const idl::ComponentAggregateStats& stats, bool spout) {
+  const auto& common = stats.common_stats;
+  ComponentCounts counts;
+  counts.component = component;
+  counts.spout = spout;
+  counts.executors = common.num_executors;
+  counts.tasks = common.num_tasks;
+  counts.emitted = common.emitted;
+  counts.transferred = common.transferred;
+  counts.acked = common.acked;
+  counts.failed = common.failed;
+  counts.executed = stats.specific_stats.bolt.executed;
+  counts.execute_ms = stats.specific_stats.bolt.execute_latency_ms;
+  counts.process_ms = stats.specific_stats.bolt.process_latency_ms;
+  counts.capacity = stats.specific_stats.bolt.capacity;
+  counts.complete_ms = stats.specific_stats.spout.complete_latency_ms;
+  return counts;
+}
+
+std::string file_text(const std::string& path) {
+  std::ifstream file(path, std::ios::binary);
+  std::ostringstream text;
+  text << file.rdbuf();
+  if (!file) throw NimbusError(path + " cannot be read");
+  return std::move(text).str();
+}
+
+idl::StormTopology read_topology(const std::string& bytes) {
+  std::string copy = bytes;
+  const auto memory = std::make_shared<apache::thrift::transport::TMemoryBuffer>(
+      reinterpret_cast<std::uint8_t*>(copy.data()), static_cast<std::uint32_t>(copy.size()));
+  apache::thrift::protocol::TBinaryProtocol protocol(memory);
+  idl::StormTopology topology;
+  topology.read(&protocol);
+  return topology;
+}
+
+}  // namespace
+
+struct NimbusClient::Impl {
+  std::vector<std::string> addresses;
+  milliseconds patience;
+  std::unique_ptr<Connection> leader;
+  std::string version;
+
+  /// Connects to the leader that one of the addresses names.
+  void find_leader() {
+    leader.reset();
+    const auto end = std::chrono::steady_clock::now() + patience;
+    std::string why;
+    while (true) {
+      for (const std::string& address : addresses) {
+        try {
+          auto asked = std::make_unique<Connection>(address);
+          idl::NimbusSummary summary;
+          asked->client.getLeader(summary);
+          const std::string its = fmt::format("{}:{}", summary.host, summary.port);
+          if (its != address) asked = std::make_unique<Connection>(its);
+          leader = std::move(asked);
+          version = summary.version;
+          return;
+        } catch (const TException& error) {
+          why = fmt::format("{}: {}", address, error.what());
+        }
+      }
+      if (std::chrono::steady_clock::now() >= end) break;
+      std::this_thread::sleep_for(search_pause);
+    }
+    throw NimbusError(fmt::format(
+        "no Nimbus answers and leads ({}); name one that runs, HOST:PORT, with --nimbus (6627 is the usual port)",
+        why));
+  }
+
+  /// Makes a call; once more to the leader of then, when the connection broke. \param make may be called twice
+  template <typename Call>
+  auto ask(Call&& make) -> decltype(make(std::declval<Client&>())) {
+    for (int tries = 1;; ++tries) {
+      try {
+        if (!leader) find_leader();
+        return make(leader->client);
+      } catch (const idl::NotAliveException& error) {
+        throw NimbusError("no such topology runs: " + error.msg);
+      } catch (const idl::AuthorizationException& error) {
+        throw NimbusError("Nimbus does not permit it: " + error.msg);
+      } catch (const idl::InvalidTopologyException& error) {
+        throw NimbusError("Nimbus refuses the topology: " + error.msg);
+      } catch (const idl::AlreadyAliveException& error) {
+        throw NimbusError("a topology of this name runs already (" + error.msg + "); kill it first");
+      } catch (const apache::thrift::TApplicationException& error) {
+        throw NimbusError(fmt::format("Nimbus {} failed: {}; its log says more", leader->to, error.what()));
+      } catch (const TException& error) {
+        const std::string to = leader ? leader->to : addresses.front();
+        leader.reset();
+        if (tries > 1) throw NimbusError(fmt::format("Nimbus {}: {}", to, error.what()));
+      }
+    }
+  }
+
+  std::string upload(const std::string& bytes, const std::function<void(std::size_t, std::size_t)>& progress) {
+    return ask([&](Client& client) {
+      std::string location;
+      client.beginFileUpload(location);
+      for (std::size_t sent = 0; sent < bytes.size();) {
+        const std::string chunk = bytes.substr(sent, chunk_size);
+        client.uploadChunk(location, chunk);
+        sent += chunk.size();
+        if (progress) progress(sent, bytes.size());
+      }
+      client.finishFileUpload(location);
+      return location;
+    });
+  }
+};
+
+NimbusClient::NimbusClient(std::vector<std::string> addresses, milliseconds patience)
+    : impl_(std::make_unique<Impl>(Impl{std::move(addresses), patience, nullptr, ""})) {
+  if (impl_->addresses.empty())
+    throw NimbusError("no Nimbus is named; give --nimbus HOST:PORT, or \"engine.storm.nimbus\" in the topology's file");
+  impl_->find_leader();
+}
+NimbusClient::~NimbusClient() = default;
+
+std::string NimbusClient::leader() const {
+  return impl_->leader ? impl_->leader->to : "";
+}
+std::string NimbusClient::version() const {
+  return impl_->version;
+}
+
+void NimbusClient::submit(const std::string& name, const std::string& conf, const std::string& topology,
+                          const std::string& jar, const std::function<void(std::size_t, std::size_t)>& progress) {
+  const auto all = topologies();
+  if (std::any_of(all.begin(), all.end(), [&](const RunningTopology& one) { return one.name == name; }))
+    throw NimbusError("a topology \"" + name +
+                      "\" runs already; kill it first, or give the file another topology.name");
+  const std::string location = impl_->upload(file_text(jar), progress);
+  const idl::StormTopology graph = read_topology(topology);
+  idl::SubmitOptions options;
+  options.initial_status = idl::TopologyInitialStatus::ACTIVE;
+  bool asked = false;
+  impl_->ask([&](Client& client) {
+    if (std::exchange(asked, true)) {
+      // Whether the first call, whose connection broke, was carried out.
+      std::vector<idl::TopologySummary> running_now;
+      client.getTopologySummaries(running_now);
+      if (std::any_of(running_now.begin(), running_now.end(), [&](const auto& one) { return one.name == name; }))
+        return;
+      throw NimbusError("the connection to Nimbus broke while it took the topology over; submit it again");
+    }
+    client.submitTopologyWithOpts(name, location, conf, graph, options);
+  });
+}
+
+std::vector<RunningTopology> NimbusClient::topologies() {
+  const auto summaries = impl_->ask([](Client& client) {
+    std::vector<idl::TopologySummary> answer;
+    client.getTopologySummaries(answer);
+    return answer;
+  });
+  std::vector<RunningTopology> topologies;
+  std::transform(summaries.begin(), summaries.end(), std::back_inserter(topologies), running);
+  return topologies;
+}
+
+std::optional<TopologyDetails> NimbusClient::details(const std::string& name) {
+  const auto all = topologies();
+  const auto found = std::find_if(all.begin(), all.end(), [&](const auto& one) { return one.name == name; });
+  if (found == all.end()) return std::nullopt;
+  const auto info = impl_->ask([&](Client& client) {
+    idl::TopologyInfo answer;
+    client.getTopologyInfoByName(answer, name);
+    return answer;
+  });
+  TopologyDetails details{*found, {}, errors_of(info.errors)};
+  for (const auto& executor : info.executors) {
+    if (is_own(executor.component_id)) continue;
+    details.executors.push_back({executor.component_id, executor.executor_info.task_start,
+                                 executor.executor_info.task_end, executor.host, executor.port, executor.uptime_secs,
+                                 executor.__isset.stats});
+  }
+  return details;
+}
+
+std::vector<ComponentCounts> NimbusClient::counts(const std::string& name, const std::string& window) {
+  const auto found = details(name);
+  if (!found) throw NimbusError("no topology \"" + name + "\" runs");
+  const auto page = impl_->ask([&](Client& client) {
+    idl::TopologyPageInfo answer;
+    client.getTopologyPageInfo(answer, found->topology.id, window, false);
+    return answer;
+  });
+  std::vector<ComponentCounts> counts;
+  for (const auto& [component, stats] : page.id_to_spout_agg_stats) counts.push_back(counts_of(component, stats, true));
+  for (const auto& [component, stats] : page.id_to_bolt_agg_stats) counts.push_back(counts_of(component, stats, false));
+  return counts;
+}
+
+void NimbusClient::activate(const std::string& name) {
+  impl_->ask([&](Client& client) { client.activate(name); });
+}
+
+void NimbusClient::deactivate(const std::string& name) {
+  impl_->ask([&](Client& client) { client.deactivate(name); });
+}
+
+void NimbusClient::rebalance(const std::string& name, std::optional<int> workers,
+                             const std::map<std::string, int>& executors, std::chrono::seconds wait) {
+  idl::RebalanceOptions options;
+  options.__set_wait_secs(static_cast<std::int32_t>(wait.count()));
+  if (workers) options.__set_num_workers(*workers);
+  if (!executors.empty()) options.__set_num_executors({executors.begin(), executors.end()});
+  impl_->ask([&](Client& client) { client.rebalance(name, options); });
+}
+
+void NimbusClient::kill(const std::string& name, std::chrono::seconds wait) {
+  idl::KillOptions options;
+  options.__set_wait_secs(static_cast<std::int32_t>(wait.count()));
+  impl_->ask([&](Client& client) { client.killTopologyWithOpts(name, options); });
+}
+
+}  // namespace iotcloud::topology::storm

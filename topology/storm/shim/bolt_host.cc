@@ -1,0 +1,204 @@
+#include <algorithm>
+#include <chrono>
+
+#include <iotcloud/topology/runtime/tasks/pool.h>
+#include <iotcloud/topology/storm/shim/bolt_host.h>
+#include <iotcloud/topology/storm/value_format.h>
+
+namespace iotcloud::topology::storm {
+
+/// A tuple that Java handed over. Several threads may answer it, only the first answer counts.
+struct BoltHost::Received final : detail::TupleData {
+  using Objects = internal::Pool<Received>;
+
+  void recycle() noexcept override {
+    if (!answered.exchange(true)) host->put(Answer::forget, slot);
+    values.clear();
+    handles.store(0, std::memory_order_relaxed);  // ~Tuple() leaves the last handle counted
+    Objects::give(this);
+  }
+
+  BoltHost* host = nullptr;
+  std::uint32_t slot = 0;
+  std::atomic<bool> answered{false};  ///< also of a tick, which Java does not keep
+};
+
+namespace {
+
+std::chrono::microseconds shorter(std::chrono::microseconds a, std::chrono::microseconds b) {
+  return a.count() == 0 ? b : b.count() == 0 ? a : std::min(a, b);
+}
+
+}  // namespace
+
+BoltHost::BoltHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink,
+                   AnswerQueue& queue)
+    : TaskHost(task, std::move(spec), buffer, sink), queue_(queue) {
+  for (const TaskDescription::Input& input : task_.inputs) {
+    streams_.push_back({input.component, input.stream, input.fields});
+    const auto same = [&](const InputSpec& given) {
+      return given.from == input.component && given.stream == input.stream;
+    };
+    const auto given = std::find_if(spec_.inputs.begin(), spec_.inputs.end(), same);
+    const auto own = given == spec_.inputs.end() ? std::chrono::microseconds(0) : given->deadline;
+    deadlines_ns_.push_back(std::chrono::nanoseconds(shorter(spec_.deadline, own)).count());
+  }
+  bolt_ = spec_.bolt();
+}
+
+BoltHost::~BoltHost() = default;
+
+std::size_t BoltHost::open() {
+  const OwnCall own(*this);
+  bolt_->prepare(spec_.config, context_, *this);
+  return commands_.take();
+}
+
+std::size_t BoltHost::close() {
+  const OwnCall own(*this);
+  guarded("cleanup()", [this] { bolt_->cleanup(); });
+  return commands_.take();
+}
+
+std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_task,
+                              std::span<const std::byte> values) {
+  const OwnCall own(*this);
+  Received* received = Received::Objects::take();
+  received->host = this;
+  received->slot = slot;
+  received->answered.store(false, std::memory_order_relaxed);
+  received->stream = &streams_[input];
+  received->source_task = source_task;
+  received->born_ns = 0;
+  const Tuple tuple(received);
+  current_ = received;
+  const bool done = guarded("execute()", [&] {
+    std::int64_t born_ms = 0;
+    const bool births = task_.inputs[input].births;
+    received->values = decode_values(values, births ? &born_ms : nullptr);
+    if (births) received->born_ns = birth_of(born_ms);
+    if (late(*received, input)) {
+      give_up_late(tuple);
+    } else {
+      bolt_->execute(tuple);
+    }
+  });
+  if (!done) answer(Answer::fail, tuple);
+  current_ = nullptr;
+  return commands_.take();
+}
+
+bool BoltHost::late(const Received& tuple, std::size_t input) const {
+  const std::int64_t deadline_ns = deadlines_ns_[input];
+  return deadline_ns > 0 && tuple.born_ns != 0 && clock_.now().time_since_epoch().count() - tuple.born_ns > deadline_ns;
+}
+
+void BoltHost::give_up_late(const Tuple& tuple) {
+  if (!spec_.late_stream.empty()) do_emit(spec_.late_stream, {&tuple, 1}, Values(tuple.data()->values), no_task);
+  answer(Answer::ack, tuple);
+}
+
+std::size_t BoltHost::tick() {
+  const OwnCall own(*this);
+  Received* received = Received::Objects::take();
+  received->host = this;
+  received->answered.store(true, std::memory_order_relaxed);
+  received->stream = &tick_stream_;
+  received->source_task = 0;
+  received->born_ns = 0;
+  const Tuple tuple(received);
+  guarded("execute() of a tick", [&] { bolt_->execute(tuple); });
+  return commands_.take();
+}
+
+std::size_t BoltHost::take_answers() {
+  const OwnCall own(*this);
+  std::vector<std::pair<Answer, std::uint32_t>> answers;
+  std::vector<std::string> errors;
+  {
+    const config::MutexLock lock(mutex_);
+    answers.swap(answers_);
+    errors.swap(errors_);
+  }
+  for (const auto& [answer, slot] : answers) write(answer, slot);
+  for (const std::string& error : errors) commands_.error(error);
+  return commands_.take();
+}
+
+std::chrono::microseconds BoltHost::own_tick_period() const {
+  const bool whole = spec_.tick % std::chrono::seconds(1) == std::chrono::seconds(0);
+  return whole && !task_.file.empty() ? std::chrono::microseconds(0) : spec_.tick;
+}
+
+// The collector.
+
+void BoltHost::do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) {
+  require_own_call();
+  const std::uint16_t number = checked_stream(stream, values, task);
+  anchors_.clear();
+  for (const Tuple& anchor : anchors) {
+    const auto& received = static_cast<const Received&>(*anchor.data());
+    if (!received.answered.load(std::memory_order_relaxed)) anchors_.push_back(received.slot);
+  }
+  add_birth(number, values, birth_of_child(anchors));
+  commands_.emit(number, task, anchors_, values.all());
+}
+
+std::int64_t BoltHost::birth_of_child(std::span<const Tuple> anchors) const {
+  std::int64_t oldest = 0;
+  for (const Tuple& anchor : anchors) {
+    const std::int64_t born = anchor.data()->born_ns;
+    if (born != 0 && (oldest == 0 || born < oldest)) oldest = born;
+  }
+  return oldest == 0 && current_ != nullptr ? current_->born_ns : oldest;
+}
+
+void BoltHost::answer(Answer answer, const Tuple& tuple) {
+  if (!tuple) return;
+  auto& received = static_cast<Received&>(*tuple.data());
+  if (answer == Answer::reset ? received.answered.load() : received.answered.exchange(true)) return;
+  put(answer, received.slot);
+}
+
+void BoltHost::put(Answer answer, std::uint32_t slot) {
+  if (OwnCall::is_of(*this)) {
+    write(answer, slot);
+    return;
+  }
+  bool first = false;
+  {
+    const config::MutexLock lock(mutex_);
+    first = answers_.empty() && errors_.empty();
+    answers_.emplace_back(answer, slot);
+  }
+  if (first) queue_.put(*this);
+}
+
+void BoltHost::write(Answer answer, std::uint32_t slot) {
+  switch (answer) {
+    case Answer::ack:
+      return commands_.ack(slot);
+    case Answer::fail:
+      return commands_.fail(slot);
+    case Answer::reset:
+      return commands_.reset_timeout(slot);
+    case Answer::forget:
+      return commands_.forget(slot);
+  }
+}
+
+void BoltHost::report_error(const std::string& text) {
+  if (OwnCall::is_of(*this)) {
+    commands_.error(text);
+    return;
+  }
+  bool first = false;
+  {
+    const config::MutexLock lock(mutex_);
+    first = answers_.empty() && errors_.empty();
+    errors_.push_back(text);
+  }
+  if (first) queue_.put(*this);
+}
+
+}  // namespace iotcloud::topology::storm

@@ -1,0 +1,67 @@
+#pragma once
+
+#include <atomic>
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <iotcloud/config/mutex.h>
+#include <iotcloud/topology/bolt.h>
+#include <iotcloud/topology/storm/shim/answer_queue.h>
+#include <iotcloud/topology/storm/shim/task_host.h>
+
+namespace iotcloud::topology::storm {
+
+/// A bolt's task. Answers (acks, fails, time-outs that begin anew, errors) that come from other threads wait until Java
+/// fetches them (take_answers()), which the queue tells it to do.
+class BoltHost final : public TaskHost, private OutputCollector {
+ public:
+  /// \param queue lives as long.
+  BoltHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink,
+           AnswerQueue& queue);
+  ~BoltHost() override;
+
+  std::size_t open() override;
+  std::size_t close() override;
+  /// Executes a tuple. \param slot the tuple's for Java. \param input the number of its stream among the task's
+  /// inputs. \param values as in value_format.h
+  std::size_t execute(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values);
+  std::size_t tick();
+  std::size_t take_answers();
+
+  /// How often Java itself calls tick(), because Storm's own ticks come every whole number of seconds; 0: it need not.
+  std::chrono::microseconds own_tick_period() const;
+
+ private:
+  enum class Answer : std::uint8_t { ack, fail, reset, forget };
+  struct Received;
+
+  void do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) override;
+  void ack(const Tuple& tuple) override { answer(Answer::ack, tuple); }
+  void fail(const Tuple& tuple) override { answer(Answer::fail, tuple); }
+  void reset_timeout(const Tuple& tuple) override { answer(Answer::reset, tuple); }
+  void report_error(const std::string& text) override;
+
+  void answer(Answer answer, const Tuple& tuple);
+  void put(Answer answer, std::uint32_t slot);
+  void write(Answer answer, std::uint32_t slot);
+  bool late(const Received& tuple, std::size_t input) const;
+  void give_up_late(const Tuple& tuple);
+  std::int64_t birth_of_child(std::span<const Tuple> anchors) const;
+
+  AnswerQueue& queue_;
+  std::vector<detail::StreamInfo> streams_;  ///< of the inputs
+  std::vector<std::int64_t> deadlines_ns_;   ///< of the inputs; 0: none
+  const detail::StreamInfo tick_stream_{system_component, tick_stream, {}};
+  std::unique_ptr<Bolt> bolt_;
+  const Received* current_ = nullptr;   ///< the tuple in execute()
+  std::vector<std::uint32_t> anchors_;  ///< only used in do_emit(); a member, to keep its memory
+
+  config::Mutex mutex_;
+  std::vector<std::pair<Answer, std::uint32_t>> answers_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::vector<std::string> errors_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
+}  // namespace iotcloud::topology::storm

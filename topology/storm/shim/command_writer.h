@@ -1,0 +1,62 @@
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <span>
+#include <string_view>
+
+#include <iotcloud/topology/value.h>
+
+namespace iotcloud::topology::storm {
+
+/// Where a task's commands go: the Java object that applies them. All calls come from within a call that this object
+/// made, on its thread.
+class CommandSink {
+ public:
+  virtual ~CommandSink() = default;
+  /// Applies the commands in the first `size` bytes of the buffer, which is free again afterwards.
+  virtual void apply(std::size_t size) = 0;
+  /// Replaces the buffer by one of `size` bytes or more. \pre it has no commands.
+  virtual std::span<std::byte> grow(std::size_t size) = 0;
+  /// Wakes the executor of a spout's task. Any thread.
+  virtual void wake() noexcept = 0;
+};
+
+/// Writes what a component wants of Storm, for Java to apply after the call, in order:
+///
+///   command = kind byte, then
+///     1 emit     stream(2 bytes) task(4, -1: the groupings choose) count(4) slot(4)* values      by a bolt
+///     2 ack, 3 fail, 4 reset the time-out of, 5 forget     slot(4)
+///     6 error    count(4) byte*
+///     7 emit     stream(2) task(4) tracked(1) message id(8) values                               by a spout
+///
+/// A slot is the number under which Java keeps a tuple until it is acked, failed or forgotten; a stream is its number
+/// in the task's description; values are as in value_format.h. A full buffer is applied before the call ends.
+class CommandWriter {
+ public:
+  CommandWriter(std::span<std::byte> buffer, CommandSink& sink) : buffer_(buffer), sink_(sink) {}
+
+  /// \throws ValueFormatError for values that cannot be sent.
+  void emit(std::uint16_t stream, int task, std::span<const std::uint32_t> anchors, std::span<const Value> values);
+  /// As emit(), by a spout. \param id nullptr: nobody tracks the tuple.
+  void emit(std::uint16_t stream, int task, const std::uint64_t* id, std::span<const Value> values);
+  void ack(std::uint32_t slot) { about(2, slot); }
+  void fail(std::uint32_t slot) { about(3, slot); }
+  void reset_timeout(std::uint32_t slot) { about(4, slot); }
+  void forget(std::uint32_t slot) { about(5, slot); }
+  void error(std::string_view text);
+
+  /// The bytes that were written and not applied yet; from now on the buffer is Java's until the next call.
+  std::size_t take();
+
+ private:
+  void about(std::uint8_t kind, std::uint32_t slot);
+  /// Room for a command of `size` bytes.
+  std::byte* room(std::size_t size);
+
+  std::span<std::byte> buffer_;
+  CommandSink& sink_;
+  std::size_t used_ = 0;
+};
+
+}  // namespace iotcloud::topology::storm

@@ -1,0 +1,24 @@
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include <iotcloud/topology/grouping.h>
+#include <iotcloud/topology/storm/shim/task_description.h>
+#include <iotcloud/topology/topology_builder.h>
+
+namespace iotcloud::topology::storm {
+
+/// The name of a topology's file in the jar.
+inline constexpr const char* topology_file = "topology.yaml";
+
+/// The component of a task: of the topology's file, which is read once in a process, or of a component library alone.
+/// Its `config` is complete. Thread safe. \throws config::Error for a file or library that cannot be used, and for a
+/// component that is not in it.
+ComponentSpec component_of(const TaskDescription& task);
+
+/// A custom grouping of the topology's file, made anew. \param input the number of the bolt's input. \throws
+/// config::Error as component_of().
+std::unique_ptr<Grouping> grouping_of(const std::string& file, const std::string& bolt, std::size_t input);
+
+}  // namespace iotcloud::topology::storm

@@ -1,0 +1,70 @@
+#include <utility>
+
+#include <iotcloud/topology/storm/shim/spout_host.h>
+
+namespace iotcloud::topology::storm {
+
+namespace {
+
+class ExecutorWaker final : public SpoutWaker::Target {
+ public:
+  explicit ExecutorWaker(CommandSink& sink) : sink_(sink) {}
+  void wake() noexcept override { sink_.wake(); }
+
+ private:
+  CommandSink& sink_;
+};
+
+}  // namespace
+
+SpoutHost::SpoutHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink)
+    : TaskHost(task, std::move(spec), buffer, sink), waker_(std::make_shared<ExecutorWaker>(sink)) {
+  context_.waker = SpoutWaker(waker_);
+  spout_ = spec_.spout();
+}
+
+std::size_t SpoutHost::open() {
+  const OwnCall own(*this);
+  spout_->open(spec_.config, context_, *this);
+  return commands_.take();
+}
+
+template <typename Call>
+std::size_t SpoutHost::run(std::string_view what, Call&& call) {
+  const OwnCall own(*this);
+  guarded(what, call);
+  return commands_.take();
+}
+
+std::size_t SpoutHost::close() {
+  return run("close()", [this] { spout_->close(); });
+}
+std::size_t SpoutHost::activate() {
+  return run("activate()", [this] { spout_->activate(); });
+}
+std::size_t SpoutHost::deactivate() {
+  return run("deactivate()", [this] { spout_->deactivate(); });
+}
+std::size_t SpoutHost::next_tuple() {
+  return run("next_tuple()", [this] { spout_->next_tuple(); });
+}
+std::size_t SpoutHost::ack(MessageId id) {
+  return run("ack()", [&] { spout_->ack(id); });
+}
+std::size_t SpoutHost::fail(MessageId id) {
+  return run("fail()", [&] { spout_->fail(id); });
+}
+
+void SpoutHost::do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) {
+  require_own_call();
+  const std::uint16_t number = checked_stream(stream, values, task);
+  add_birth(number, values, 0);
+  commands_.emit(number, task, id, values.all());
+}
+
+void SpoutHost::report_error(const std::string& text) {
+  require_own_call();
+  commands_.error(text);
+}
+
+}  // namespace iotcloud::topology::storm

@@ -1,0 +1,126 @@
+// iotcloud-storm: topologies on Apache Storm; `iotcloud topology pack` starts it.
+#include <cstdio>
+#include <filesystem>
+#include <functional>
+#include <optional>
+
+#include <CLI/CLI.hpp>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/topology/storm/storm_verbs.h>
+
+namespace {
+
+namespace storm = iotcloud::topology::storm;
+using std::chrono::seconds;
+
+/// The component libraries of the build and of the installation.
+std::vector<std::string> library_folders() {
+  const auto program = std::filesystem::read_symlink("/proc/self/exe").parent_path();
+  return {program.parent_path() / "plugins", program.parent_path() / "lib/iotcloud/plugins"};
+}
+
+/// "COMPONENT=EXECUTORS". \throws config::Error for another text.
+std::map<std::string, int> executors_of(const std::vector<std::string>& words) {
+  std::map<std::string, int> executors;
+  for (const auto& word : words) {
+    const auto equals = word.rfind('=');
+    const std::string number = equals == std::string::npos ? "" : word.substr(equals + 1);
+    const bool digits =
+        !number.empty() && number.size() < 6 && number.find_first_not_of("0123456789") == std::string::npos;
+    if (equals == 0 || !digits)
+      throw iotcloud::config::Error("\"" + word + "\" is not of the form COMPONENT=EXECUTORS, such as count=4");
+    executors[word.substr(0, equals)] = std::stoi(number);
+  }
+  return executors;
+}
+
+/// The words of the command line, and the verb that they name.
+struct Words {
+  storm::StormCall call;
+  std::string file;
+  std::string jar;
+  std::string name;
+  std::string window = ":all-time";
+  std::vector<std::string> executors;
+  std::optional<int> workers;
+  int patience_s = 30;
+  int limit_s = 120;
+  int wait_s = 30;
+  std::function<int()> verb;
+
+  CLI::App* add(CLI::App& app, const char* name_of_verb, const char* what, std::function<int()> run) {
+    CLI::App* made = app.add_subcommand(name_of_verb, what);
+    made->callback([this, run = std::move(run)] {
+      verb = [this, run] {
+        call.patience = seconds(patience_s);
+        return run();
+      };
+    });
+    return made;
+  }
+  CLI::App* of_cluster(CLI::App* made) {
+    made->add_option("--nimbus", call.nimbus, "HOST:PORT of Storm's Nimbus; several with commas")->delimiter(',');
+    made->add_option("--patience", patience_s, "seconds in which a Nimbus must lead, after a failover, say")
+        ->check(CLI::Range(0, 3600));
+    made->add_flag("--json", call.json, "JSON in place of a table");
+    return made;
+  }
+  CLI::App* of_topology(CLI::App* made) {
+    of_cluster(made)->add_option("NAME", name, "the topology")->required();
+    return made;
+  }
+  void declare(CLI::App& app);
+};
+
+void Words::declare(CLI::App& app) {
+  const auto with_file = [&](CLI::App* made) {
+    made->add_option("FILE", file, "the topology's YAML file")->required()->check(CLI::ExistingFile);
+    return made;
+  };
+  with_file(add(app, "pack", "make a jar of a topology, for `storm jar`", [&] { return storm::pack(call, file, jar); }))
+      ->add_option("JAR", jar, "the jar")
+      ->required();
+  CLI::App* submit = of_cluster(with_file(add(app, "submit", "send a topology to Storm, and wait until it runs",
+                                              [&] { return storm::submit(call, file, workers, seconds(limit_s)); })));
+  submit->add_option("--workers", workers, "worker processes")->check(CLI::Range(1, 10'000));
+  submit->add_option("--limit", limit_s, "seconds in which all tasks must run; 0: do not wait")
+      ->check(CLI::Range(0, 3600));
+  of_cluster(add(app, "list", "the topologies of the cluster", [&] { return storm::list(call); }));
+  of_topology(add(app, "show", "a topology's executors, and where they run", [&] { return storm::show(call, name); }));
+  of_topology(add(app, "metrics", "counts of a topology's components", [&] {
+    return storm::metrics(call, name, window);
+  }))->add_option("--window", window, "of the last 600, 10800 or 86400 seconds, or :all-time");
+  of_topology(
+      add(app, "errors", "errors that a topology's components reported", [&] { return storm::errors(call, name); }));
+  of_topology(add(app, "activate", "let the spouts go on", [&] { return storm::set_active(call, name, true); }));
+  of_topology(add(app, "deactivate", "let the spouts pause", [&] { return storm::set_active(call, name, false); }));
+  CLI::App* rebalance = of_topology(add(app, "rebalance", "change the number of workers or executors", [&] {
+    return storm::rebalance(call, name, workers, executors_of(executors), seconds(wait_s));
+  }));
+  rebalance->add_option("COMPONENT=EXECUTORS", executors, "how many tasks of a component may run at the same time");
+  rebalance->add_option("--workers", workers, "worker processes")->check(CLI::Range(1, 10'000));
+  CLI::App* kill =
+      of_topology(add(app, "kill", "end a topology", [&] { return storm::kill(call, name, seconds(wait_s)); }));
+  for (CLI::App* made : {rebalance, kill}) {
+    made->add_option("--wait", wait_s, "seconds in which what is under way may be finished, before the workers end")
+        ->check(CLI::Range(0, 3600));
+  }
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  CLI::App app{"Runs topologies on Apache Storm: packs, submits, lists and ends them.", "iotcloud-storm"};
+  app.require_subcommand(1);
+  Words words;
+  words.call.folders = library_folders();
+  words.declare(app);
+  CLI11_PARSE(app, argc, argv);
+  try {
+    return words.verb();
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "iotcloud-storm: %s\n", error.what());
+    return 1;
+  }
+}

@@ -1,0 +1,286 @@
+#include <algorithm>
+#include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <set>
+#include <thread>
+
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+#include <nlohmann/json.hpp>
+#include <unistd.h>
+
+#include <iotcloud/topology/storm/job/jar.h>
+#include <iotcloud/topology/storm/nimbus/nimbus_client.h>
+#include <iotcloud/topology/storm/storm_verbs.h>
+
+namespace iotcloud::topology::storm {
+
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::ordered_json;
+using std::chrono::seconds;
+
+constexpr std::chrono::milliseconds look_pause{200};
+/// Components are opened only after their executors have told Nimbus of themselves; one that cannot be opened shows
+/// within this time.
+constexpr seconds after_reports{2};
+
+/// Prints rows of the same keys, as a table or as JSON.
+void print(const StormCall& call, const std::vector<std::string>& keys, const Json& rows) {
+  if (call.json) {
+    fmt::print("{}\n", rows.dump(2, ' ', false, Json::error_handler_t::replace));
+    return;
+  }
+  const auto text = [](const Json& value) { return value.is_string() ? value.get<std::string>() : value.dump(); };
+  std::vector<std::size_t> widths;
+  for (const auto& key : keys) {
+    widths.push_back(key.size());
+    for (const auto& row : rows) widths.back() = std::max(widths.back(), text(row.at(key)).size());
+  }
+  const auto line = [&](const auto& cell_of) {
+    std::string cells;
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+      const std::string cell = cell_of(keys[i]);
+      cells += i + 1 == keys.size() ? cell : fmt::format("{:<{}}  ", cell, widths[i]);
+    }
+    fmt::print("{}\n", cells);
+  };
+  line([](const std::string& key) { return key; });
+  for (const auto& row : rows) line([&](const std::string& key) { return text(row.at(key)); });
+}
+
+void note(const std::string& text) {
+  std::fprintf(stderr, "iotcloud-storm: %s\n", text.c_str());
+}
+
+NimbusClient connect(const StormCall& call) {
+  return NimbusClient(call.nimbus, call.patience);
+}
+
+TopologyDetails details_of(NimbusClient& nimbus, const std::string& name) {
+  auto details = nimbus.details(name);
+  if (details) return *std::move(details);
+  std::string known;
+  for (const auto& topology : nimbus.topologies()) known += (known.empty() ? "" : ", ") + topology.name;
+  throw NimbusError("no topology \"" + name + "\" runs; " + (known.empty() ? "none does" : "there are " + known));
+}
+
+std::string time_text(std::int64_t at_s) {
+  return fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(static_cast<std::time_t>(at_s)));
+}
+
+Job checked_job(const StormCall& call, const std::string& file) {
+  Job job = make_job(file, call.folders);
+  for (const auto& text : job.notes) note(text);
+  return job;
+}
+
+void tell_contents(const JarContents& contents) {
+  std::string taken;
+  for (const auto& path : contents.taken) taken += (taken.empty() ? "" : ", ") + fs::path(path).filename().string();
+  std::string expected;
+  for (const auto& name : contents.expected) expected += (expected.empty() ? "" : ", ") + name;
+  note("the jar has, beside the component libraries: " + (taken.empty() ? "nothing" : taken));
+  note("expected on the workers' machines: " + expected);
+}
+
+/// A jar that lives as long as this object.
+class TemporaryJar {
+ public:
+  TemporaryJar() {
+    std::string name = fs::temp_directory_path() / "iotcloud-storm-XXXXXX";
+    if (mkdtemp(name.data()) == nullptr)
+      throw config::Error("no folder can be made in " + fs::temp_directory_path().string());
+    folder_ = name;
+  }
+  ~TemporaryJar() {
+    std::error_code ignored;
+    fs::remove_all(folder_, ignored);
+  }
+  TemporaryJar(const TemporaryJar&) = delete;
+  TemporaryJar& operator=(const TemporaryJar&) = delete;
+  std::string path() const { return folder_ / "topology.jar"; }
+
+ private:
+  fs::path folder_;
+};
+
+/// Shows the progress of sending on a terminal.
+void show_progress(std::size_t sent, std::size_t whole) {
+  if (isatty(STDERR_FILENO) == 0) return;
+  std::fprintf(stderr, "\rsent %zu of %zu KiB%s", sent / 1024, whole / 1024, sent == whole ? "\n" : "");
+}
+
+std::string not_running(const TopologyDetails& details) {
+  std::set<std::string> waiting;
+  for (const auto& executor : details.executors) {
+    if (!executor.reported) waiting.insert(executor.component);
+  }
+  if (details.executors.empty())
+    return "Nimbus has given it to no worker; are there free slots? (`show` has the workers)";
+  std::string names;
+  for (const auto& component : waiting) names += (names.empty() ? "" : ", ") + component;
+  return "tasks of " + names + " do not run yet";
+}
+
+/// Waits until all tasks run. \throws NimbusError that says why they do not.
+TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name, seconds limit) {
+  const auto end = std::chrono::steady_clock::now() + limit;
+  auto all_reported = std::chrono::steady_clock::time_point::max();
+  while (true) {
+    const TopologyDetails details = details_of(nimbus, name);
+    if (!details.errors.empty()) {
+      const ReportedError& first = details.errors.back();
+      throw NimbusError(
+          fmt::format("{} does not run: its component {} says: {} ({}:{}); `iotcloud-storm kill {}` ends it", name,
+                      first.component, first.text, first.host, first.port, name));
+    }
+    const auto now = std::chrono::steady_clock::now();
+    const bool reported =
+        !details.executors.empty() && std::all_of(details.executors.begin(), details.executors.end(),
+                                                  [](const RunningExecutor& executor) { return executor.reported; });
+    if (reported) all_reported = std::min(all_reported, now);
+    if (reported && now - all_reported >= after_reports) return details;
+    if (now >= end) {
+      throw NimbusError(fmt::format("{} was submitted, but not all of it ran within {} s: {}", name, limit.count(),
+                                    not_running(details)));
+    }
+    std::this_thread::sleep_for(look_pause);
+  }
+}
+
+std::size_t workers_of(const TopologyDetails& details) {
+  std::set<std::pair<std::string, int>> workers;
+  for (const auto& executor : details.executors) workers.emplace(executor.host, executor.port);
+  return workers.size();
+}
+
+}  // namespace
+
+int pack(const StormCall& call, const std::string& file, const std::string& jar) {
+  const Job job = checked_job(call, file);
+  tell_contents(write_jar(job, ShimFiles::find(), jar));
+  fmt::print("{}: submit it with `storm jar {}`\n", jar, jar);
+  return 0;
+}
+
+int submit(const StormCall& call, const std::string& file, std::optional<int> workers, seconds limit) {
+  Job job = checked_job(call, file);
+  if (workers) {
+    Json conf = Json::parse(job.conf);
+    conf["topology.workers"] = *workers;
+    job.conf = conf.dump();
+  }
+  NimbusClient nimbus(call.nimbus.empty() ? job.nimbus : call.nimbus, call.patience);
+  if (nimbus.version() != tested_version) {
+    note(fmt::format("Nimbus {} is of Storm {}; this was tested with {}", nimbus.leader(), nimbus.version(),
+                     tested_version));
+  }
+  const TemporaryJar jar;
+  tell_contents(write_jar(job, ShimFiles::find(), jar.path()));
+  nimbus.submit(job.name, job.conf, job.topology, jar.path(), show_progress);
+  if (limit.count() == 0) {
+    fmt::print("{} was submitted to {}\n", job.name, nimbus.leader());
+    return 0;
+  }
+  const TopologyDetails details = wait_until_running(nimbus, job.name, limit);
+  fmt::print("{} runs: {} tasks in {} workers\n", job.name, details.topology.tasks, workers_of(details));
+  return 0;
+}
+
+int list(const StormCall& call) {
+  auto nimbus = connect(call);
+  Json rows = Json::array();
+  for (const auto& topology : nimbus.topologies()) {
+    rows.push_back({{"name", topology.name},
+                    {"state", topology.status},
+                    {"workers", topology.workers},
+                    {"executors", topology.executors},
+                    {"tasks", topology.tasks},
+                    {"uptime_s", topology.uptime_s}});
+  }
+  print(call, {"name", "state", "workers", "executors", "tasks", "uptime_s"}, rows);
+  return 0;
+}
+
+int show(const StormCall& call, const std::string& name) {
+  auto nimbus = connect(call);
+  Json rows = Json::array();
+  for (const auto& executor : details_of(nimbus, name).executors) {
+    rows.push_back({{"component", executor.component},
+                    {"tasks", executor.first_task == executor.last_task
+                                  ? std::to_string(executor.first_task)
+                                  : fmt::format("{}-{}", executor.first_task, executor.last_task)},
+                    {"worker", fmt::format("{}:{}", executor.host, executor.port)},
+                    {"runs", executor.reported},
+                    {"uptime_s", executor.uptime_s}});
+  }
+  print(call, {"component", "tasks", "worker", "runs", "uptime_s"}, rows);
+  return 0;
+}
+
+int metrics(const StormCall& call, const std::string& name, const std::string& window) {
+  auto nimbus = connect(call);
+  Json rows = Json::array();
+  for (const auto& counts : nimbus.counts(name, window)) {
+    const auto ms = [](double value) { return fmt::format("{:.3f}", value); };
+    rows.push_back({{"component", counts.component},
+                    {"executors", counts.executors},
+                    {"tasks", counts.tasks},
+                    {"emitted", counts.emitted},
+                    {"transferred", counts.transferred},
+                    {"executed", counts.executed},
+                    {"acked", counts.acked},
+                    {"failed", counts.failed},
+                    {"execute_ms", ms(counts.execute_ms)},
+                    {"process_ms", ms(counts.process_ms)},
+                    {"complete_ms", ms(counts.complete_ms)},
+                    {"capacity", ms(counts.capacity)}});
+  }
+  print(call,
+        {"component", "executors", "tasks", "emitted", "transferred", "executed", "acked", "failed", "execute_ms",
+         "process_ms", "complete_ms", "capacity"},
+        rows);
+  return 0;
+}
+
+int errors(const StormCall& call, const std::string& name) {
+  auto nimbus = connect(call);
+  Json rows = Json::array();
+  for (const auto& error : details_of(nimbus, name).errors) {
+    rows.push_back({{"time", time_text(error.at_s)},
+                    {"component", error.component},
+                    {"worker", fmt::format("{}:{}", error.host, error.port)},
+                    {"error", error.text}});
+  }
+  print(call, {"time", "component", "worker", "error"}, rows);
+  return 0;
+}
+
+int set_active(const StormCall& call, const std::string& name, bool active) {
+  auto nimbus = connect(call);
+  active ? nimbus.activate(name) : nimbus.deactivate(name);
+  fmt::print("{} is {}\n", name, active ? "active" : "inactive");
+  return 0;
+}
+
+int rebalance(const StormCall& call, const std::string& name, std::optional<int> workers,
+              const std::map<std::string, int>& executors, seconds wait) {
+  auto nimbus = connect(call);
+  nimbus.rebalance(name, workers, executors, wait);
+  fmt::print("{} is rebalanced in {} s\n", name, wait.count());
+  return 0;
+}
+
+int kill(const StormCall& call, const std::string& name, seconds wait) {
+  auto nimbus = connect(call);
+  nimbus.kill(name, wait);
+  const auto is_there = [&] { return nimbus.details(name).has_value(); };
+  while (is_there()) std::this_thread::sleep_for(look_pause);
+  fmt::print("{} was killed\n", name);
+  return 0;
+}
+
+}  // namespace iotcloud::topology::storm

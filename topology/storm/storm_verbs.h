@@ -1,0 +1,33 @@
+#pragma once
+
+#include <chrono>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+namespace iotcloud::topology::storm {
+
+/// What all verbs of `iotcloud-storm` are given.
+struct StormCall {
+  std::vector<std::string> nimbus;    ///< HOST:PORT; empty: those of the topology's file
+  std::vector<std::string> folders;   ///< where component libraries are that are not beside the topology's file
+  bool json = false;                  ///< print JSON in place of tables
+  std::chrono::seconds patience{30};  ///< for how long a leader is looked for
+};
+
+// Each prints to stdout what it did, and notes and progress to stderr. \return the exit status. \throws config::Error
+
+int pack(const StormCall& call, const std::string& file, const std::string& jar);
+/// \param limit for how long it waits until all tasks run; 0: not at all
+int submit(const StormCall& call, const std::string& file, std::optional<int> workers, std::chrono::seconds limit);
+int list(const StormCall& call);
+int show(const StormCall& call, const std::string& name);
+int metrics(const StormCall& call, const std::string& name, const std::string& window);
+int errors(const StormCall& call, const std::string& name);
+int set_active(const StormCall& call, const std::string& name, bool active);
+int rebalance(const StormCall& call, const std::string& name, std::optional<int> workers,
+              const std::map<std::string, int>& executors, std::chrono::seconds wait);
+int kill(const StormCall& call, const std::string& name, std::chrono::seconds wait);
+
+}  // namespace iotcloud::topology::storm

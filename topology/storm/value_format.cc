@@ -1,0 +1,185 @@
+#include <bit>
+#include <cstring>
+#include <limits>
+#include <string_view>
+
+#include <iotcloud/topology/storm/value_format.h>
+
+namespace iotcloud::topology::storm {
+
+namespace {
+
+static_assert(std::endian::native == std::endian::little, "Java's side writes little endian");
+
+enum class Kind : std::uint8_t { null, no, yes, integer, real, string, payload };
+
+constexpr std::size_t most_bytes = std::numeric_limits<std::int32_t>::max();
+constexpr std::size_t count_size = sizeof(std::uint32_t);
+
+/// Length of the UTF-8 sequence at the beginning of `text`; 0: it is none.
+std::size_t sequence_at(std::string_view text) {
+  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
+  const unsigned first = byte(0);
+  if (first < 0x80) return 1;
+  const std::size_t size = first >= 0xF0 ? 4 : first >= 0xE0 ? 3 : 2;
+  if (first < 0xC2 || first > 0xF4 || text.size() < size) return 0;
+  for (std::size_t i = 1; i < size; ++i) {
+    if ((byte(i) & 0xC0) != 0x80) return 0;
+  }
+  const unsigned second = byte(1);
+  const bool overlong = (first == 0xE0 && second < 0xA0) || (first == 0xF0 && second < 0x90);
+  const bool surrogate = first == 0xED && second >= 0xA0;
+  const bool beyond = first == 0xF4 && second >= 0x90;
+  return overlong || surrogate || beyond ? 0 : size;
+}
+
+bool is_utf8(std::string_view text) {
+  while (!text.empty()) {
+    std::uint64_t eight = 0;
+    if (text.size() >= sizeof eight) {
+      std::memcpy(&eight, text.data(), sizeof eight);
+      if ((eight & 0x8080808080808080ULL) == 0) {
+        text.remove_prefix(sizeof eight);
+        continue;
+      }
+    }
+    const std::size_t size = sequence_at(text);
+    if (size == 0) return false;
+    text.remove_prefix(size);
+  }
+  return true;
+}
+
+std::size_t size_of_bytes(std::size_t size) {
+  if (size > most_bytes) throw ValueFormatError("a value of " + std::to_string(size) + " bytes; Java takes 2 GiB");
+  return 1 + count_size + size;
+}
+
+std::size_t size_of(const Value& value) {
+  if (const auto* text = std::get_if<std::string>(&value)) {
+    if (!is_utf8(*text)) throw ValueFormatError("a string that is not UTF-8; bytes go into a Payload");
+    return size_of_bytes(text->size());
+  }
+  if (const auto* payload = std::get_if<Payload>(&value)) return size_of_bytes(payload->size());
+  const bool number = std::holds_alternative<std::int64_t>(value) || std::holds_alternative<double>(value);
+  return number ? 1 + 8 : 1;
+}
+
+/// Writes the parts of values.
+class Writer {
+ public:
+  explicit Writer(std::byte* at) : at_(at) {}
+  template <typename Number>
+  void number(Number number) {
+    std::memcpy(at_, &number, sizeof number);
+    at_ += sizeof number;
+  }
+  void kind(Kind kind) { number(kind); }
+  void bytes(Kind of, const void* data, std::size_t size) {
+    kind(of);
+    number(static_cast<std::uint32_t>(size));
+    if (size > 0) std::memcpy(at_, data, size);
+    at_ += size;
+  }
+  std::byte* at() const { return at_; }
+
+ private:
+  std::byte* at_;
+};
+
+void write(Writer& writer, const Value& value) {
+  if (const auto* flag = std::get_if<bool>(&value)) {
+    writer.kind(*flag ? Kind::yes : Kind::no);
+  } else if (const auto* integer = std::get_if<std::int64_t>(&value)) {
+    writer.kind(Kind::integer);
+    writer.number(*integer);
+  } else if (const auto* real = std::get_if<double>(&value)) {
+    writer.kind(Kind::real);
+    writer.number(*real);
+  } else if (const auto* text = std::get_if<std::string>(&value)) {
+    writer.bytes(Kind::string, text->data(), text->size());
+  } else if (const auto* payload = std::get_if<Payload>(&value)) {
+    writer.bytes(Kind::payload, payload->data(), payload->size());
+  } else {
+    writer.kind(Kind::null);
+  }
+}
+
+/// Reads the parts of values; throws instead of reading beyond the bytes.
+class Reader {
+ public:
+  explicit Reader(std::span<const std::byte> left) : left_(left) {}
+  template <typename Number>
+  Number number() {
+    Number number{};
+    std::memcpy(&number, bytes(sizeof number).data(), sizeof number);
+    return number;
+  }
+  std::span<const std::byte> bytes(std::size_t size) {
+    if (size > left_.size()) throw ValueFormatError("the bytes end within a value");
+    const auto taken = left_.first(size);
+    left_ = left_.subspan(size);
+    return taken;
+  }
+  std::span<const std::byte> counted() { return bytes(number<std::uint32_t>()); }
+  std::size_t left() const { return left_.size(); }
+
+ private:
+  std::span<const std::byte> left_;
+};
+
+Value read(Reader& reader) {
+  const auto kind = reader.number<Kind>();
+  switch (kind) {
+    case Kind::null:
+      return {};
+    case Kind::no:
+      return false;
+    case Kind::yes:
+      return true;
+    case Kind::integer:
+      return reader.number<std::int64_t>();
+    case Kind::real:
+      return reader.number<double>();
+    case Kind::string: {
+      const auto text = reader.counted();
+      return Value(std::in_place_type<std::string>, reinterpret_cast<const char*>(text.data()), text.size());
+    }
+    case Kind::payload:
+      return Payload::copy(reader.counted());
+  }
+  throw ValueFormatError("there is no value of kind " + std::to_string(static_cast<int>(kind)));
+}
+
+}  // namespace
+
+std::size_t encoded_size(std::span<const Value> values) {
+  std::size_t size = count_size;
+  for (const Value& value : values) size += size_of(value);
+  return size;
+}
+
+std::byte* encode_values(std::span<const Value> values, std::byte* at) noexcept {
+  Writer writer(at);
+  writer.number(static_cast<std::uint32_t>(values.size()));
+  for (const Value& value : values) write(writer, value);
+  return writer.at();
+}
+
+Values decode_values(std::span<const std::byte> bytes, std::int64_t* birth) {
+  Reader reader(bytes);
+  Values values;
+  auto count = reader.number<std::uint32_t>();
+  if (birth != nullptr && count == 0) throw ValueFormatError("there is no value, so no birth");
+  for (; count > (birth != nullptr ? 1 : 0); --count) values.add(read(reader));
+  if (birth != nullptr) {
+    const Value last = read(reader);
+    const auto* number = std::get_if<std::int64_t>(&last);
+    if (number == nullptr) throw ValueFormatError(std::string("the birth is a ") + kind_of(last));
+    *birth = *number;
+  }
+  if (reader.left() > 0) throw ValueFormatError(std::to_string(reader.left()) + " bytes follow the last value");
+  return values;
+}
+
+}  // namespace iotcloud::topology::storm
