@@ -34,11 +34,13 @@ STAMPS_OF_OTHERS = {
     "master/topologies/topology_service.cc": "an order says until when its master waits, whichever process reads it",
     "security/tokens.cc": "a token's end is a day of the calendar, which its file says",
     "topology/endpoints/receiving/broker_spout.cc": "the age of a message by the time stamp that its driver wrote",
+    "topology/storm/shim/task_host.cc": "a tuple's birth in another worker's process",
     "topology/windows/watermarks.h": "event times, as windowed_bolt.cc gives them",
     "topology/windows/windowed_bolt.cc": "event times that are time stamps, by the steady clock from the first look on",
     "topology/worker/control.cc": "an order says until when its master waits, whichever process reads it",
     "tests/gateway/signed_orders_test.cc": "such orders",
     "tests/topology/pool/pool_test.cc": "such orders",
+    "tests/topology/storm/task_hosts_test.cc": "such a birth",
     "tests/topology/worker/worker_control_test.cc": "such an order",
     "tests/topology/worker/worker_test.cc": "such a message",
 }
