@@ -258,7 +258,7 @@ bool renew_token(const std::string& file, const std::string& name, std::int64_t 
 
 namespace {
 
-constexpr std::int64_t seconds_a_day = 24 * 3600;
+constexpr std::int64_t seconds_a_day = std::int64_t{24} * 3600;
 /// How long before a token expires the log begins to warn of that.
 constexpr std::int64_t warning_s = 14 * seconds_a_day;
 
@@ -286,7 +286,8 @@ void TokenKeeper::measure(const std::string& service, std::vector<config::Sample
     sample.help = "Days until a token that has an end expires";
     sample.kind = config::Sample::Kind::gauge;
     sample.labels = {{"service", service}, {"token", name}};
-    sample.value = std::floor(static_cast<double>(entry.expires_s - clock_.wall_ms() / 1000) / seconds_a_day);
+    const std::int64_t left_s = entry.expires_s - clock_.wall_ms() / 1000;
+    sample.value = std::floor(static_cast<double>(left_s) / seconds_a_day);
     samples.push_back(std::move(sample));
   }
 }

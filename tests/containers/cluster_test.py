@@ -127,7 +127,7 @@ def check_round_trip(cluster, name="first"):
     seen = json.loads(cluster.cli("topology", "show", "echo", "-o", "json"))
     require(len(seen["workers"]) == 2 and sum(one["emitted"] for one in seen["components"] if one["id"] == "receive") >= 500,
             f"the workers are not seen from outside: {seen}")
-    cluster.cli("undeploy", "--driver", "loadgen")
+    cluster.cli("undeploy", "--gateway", "gateway-1", "--driver", "loadgen")
 
 
 def check_confined(cluster):

@@ -120,7 +120,7 @@ TEST_F(Tokens, OfAMasterNeedACertificate) {
 TEST_F(Tokens, WithAnEndAreWorthNothingFromThenOnUnlessTheyAreRenewed) {
   tests::HandClock clock;
   config::Metrics metrics;
-  constexpr std::int64_t day = 24 * 3600;
+  constexpr std::int64_t day = std::int64_t{24} * 3600;
   const auto start = clock.wall_ms() / 1000;
   const auto bob = add_token(file_, "bob", Role::viewer);
   const auto anna = add_token(file_, "anna", Role::admin, "CN=a:b", start + 3 * day);

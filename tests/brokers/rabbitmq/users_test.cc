@@ -22,7 +22,6 @@ namespace {
 
 using rabbitmq::to_bytes;
 using testing::HasSubstr;
-using testing::StartsWith;
 
 constexpr const char* password = "sesame";
 constexpr const char* exchange = "amq.topic";
@@ -45,6 +44,7 @@ std::string definitions() {
 /// not allowed, so each attempt has its own.
 class Attempts {
  public:
+  using Arguments = std::vector<std::pair<std::string, std::string>>;
   Attempts(const std::string& url, const char* user) : connection_(amqp_new_connection()) {
     const BrokerUrl at = parse_broker_url(url);
     amqp_socket_t* const socket = amqp_tcp_socket_new(connection_);
@@ -61,15 +61,14 @@ class Attempts {
     return outcome() == "ok";
   }
   /// What the server says to each: "ok", or why not.
-  std::string declare(const std::string& queue, std::vector<std::pair<std::string, std::string>> arguments = {}) {
+  std::string declare(const std::string& queue, const Arguments& arguments = {}) {
     open();
     auto table = as_table(arguments);
     amqp_queue_declare(connection_, channel_, to_bytes(queue), 0, 0, 0, 0,
                        {static_cast<int>(table.size()), table.data()});
     return outcome();
   }
-  std::string declare_exchange(const std::string& name,
-                               std::vector<std::pair<std::string, std::string>> arguments = {}) {
+  std::string declare_exchange(const std::string& name, const Arguments& arguments = {}) {
     open();
     auto table = as_table(arguments);
     amqp_exchange_declare(connection_, channel_, to_bytes(name), amqp_cstring_bytes("fanout"), 0, 0, 0, 0,
@@ -106,7 +105,7 @@ class Attempts {
   }
 
  private:
-  static std::vector<amqp_table_entry_t> as_table(const std::vector<std::pair<std::string, std::string>>& arguments) {
+  static std::vector<amqp_table_entry_t> as_table(const Arguments& arguments) {
     std::vector<amqp_table_entry_t> table(arguments.size());
     for (std::size_t i = 0; i < arguments.size(); ++i) {
       table[i].key = to_bytes(arguments[i].first);
@@ -128,7 +127,7 @@ class Attempts {
   }
   std::string closed(const void* decoded) {
     const auto& text = static_cast<const amqp_channel_close_t*>(decoded)->reply_text;
-    const std::string why(static_cast<const char*>(text.bytes), text.len);
+    std::string why(static_cast<const char*>(text.bytes), text.len);
     amqp_channel_close_ok_t ok{};
     amqp_send_method(connection_, channel_, AMQP_CHANNEL_CLOSE_OK_METHOD, &ok);
     return why;
