@@ -192,7 +192,7 @@ def check_stolen(machine, here, at_broker, on_lab1):
     script = fleet.replaced(on_lab1, {"zookeeper://127.0.0.1:2181": f"zookeeper://127.0.0.1:{machine.tunnel_port}"})
     done = machine.inside("sh", "-e", "-c", f"PATH={machine.bin}:$PATH\n{script}")
     require(done.returncode == 0, f"the page's commands fail on lab1: {done.stdout} {done.stderr}")
-    nodes, changed = map(int, done.stdout.split()[-2:])
+    nodes, changed, *_ = map(int, done.stdout.split()[-4:])
     require(nodes > 0 and changed > 0, f"no node had rights of gateway-2: {done.stdout}")
     wait_for("the gateway is ready again", lambda: any(gateway["state"] == "ready" for gateway in machine.json("gateways")))
     wait_for("the driver is active again", lambda: machine.json("drivers")[0]["state"] == "active")

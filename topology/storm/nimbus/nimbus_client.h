@@ -70,6 +70,7 @@ struct ComponentCounts {
   double capacity = 0;     ///< bolts: part of the last minutes in which its busiest executor was busy
 };
 
+/// A running topology, with what its executors report.
 struct TopologyDetails {
   RunningTopology topology;
   std::vector<RunningExecutor> executors;  ///< Storm's own left out
@@ -102,7 +103,8 @@ class NimbusClient {
   std::vector<ComponentCounts> counts(const std::string& name, const std::string& window);
   void activate(const std::string& name);
   void deactivate(const std::string& name);
-  /// \param workers, \param executors by component: what changes
+  /// \param workers nullopt: as many as now
+  /// \param executors the new number of each component that changes
   void rebalance(const std::string& name, std::optional<int> workers, const std::map<std::string, int>& executors,
                  std::chrono::seconds wait);
   void kill(const std::string& name, std::chrono::seconds wait);

@@ -26,9 +26,11 @@ struct TaskDescription {
     Fields fields;
     bool births = false;  ///< its tuples have the birth_field, too
   };
+  /// A stream that the task reads.
   struct Input : Stream {
     Fields key;  ///< of the grouping `fields`
   };
+  /// A stream that the task emits.
   struct Output : Stream {
     bool direct = false;
     std::vector<int> targets;  ///< the tasks that read it, ascending; only of a direct stream
