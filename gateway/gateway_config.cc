@@ -5,20 +5,17 @@
 #include <system_error>
 
 #include <fmt/format.h>
-#include <sys/resource.h>
-#include <unistd.h>
 
 #include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/brokers/broker_url.h>
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/config/log_settings.h>
-#include <iotcloud/config/number.h>
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/gateway/fleet/plugin_folder.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/host/plugin.h>
-#include <iotcloud/processes/landlock.h>
+#include <iotcloud/processes/confinement_settings.h>
 
 namespace iotcloud::gateway {
 
@@ -87,77 +84,21 @@ void read_thrift(config::YamlSection& file, GatewayConfig& config) {
   config.gateway.port = reached.port;
 }
 
-/// Reads the confinement of driver hosts, and checks now, rather than when the first driver is deployed, that this
-/// machine allows it.
+const processes::ConfinementWords& confinement_words() {
+  static const processes::ConfinementWords words{
+      "host_", "a gateway", "driver hosts", "a driver host",
+      "let systemd start them (host_starter: /run/iotcloud-host), or leave this out"};
+  return words;
+}
+
 void read_confinement(config::YamlSection& file, ProcessLauncher::Options& hosts) {
-  auto& confinement = hosts.confinement;
-  confinement.no_new_privileges = true;
-  confinement.filter_calls = file.bool_or("host_call_filter", true);
-  confinement.debuggable = file.bool_or("host_debugging", false);
-  confinement.user = file.string_or("host_user", "");
   hosts.starter = file.string_or("host_starter", "");
-  if (!hosts.starter.empty() && confinement.user.empty()) {
+  hosts.confinement = processes::read_confinement(file, confinement_words(), !hosts.starter.empty());
+  if (!hosts.starter.empty() && hosts.confinement.user.empty()) {
     file.refuse("host_starter", "it starts driver hosts as a user of their own, which is not named",
                 "host_user: iotcloud-host");
   }
-  constexpr std::int64_t fewest_files = 64, most_files = 1 << 20;
-  confinement.open_files = static_cast<std::uint64_t>(file.int_or("host_open_files", 0, 0, most_files));
-  if (confinement.open_files > 0 && confinement.open_files < fewest_files) {
-    file.refuse("host_open_files", "a driver host alone needs some", fmt::format("at least {}", fewest_files));
-  }
-  constexpr std::int64_t most_processes = 1 << 22;
-  confinement.processes = static_cast<std::uint64_t>(file.int_or("host_processes", 0, 0, most_processes));
-  if (auto files = file.optional_section("host_files")) {
-    confinement.files.emplace();
-    confinement.files->read = files->strings_or("read", {});
-    confinement.files->write = files->strings_or("write", {});
-    files->finish();
-  }
-  rlimit now{};
-  getrlimit(RLIMIT_NOFILE, &now);
-  if (geteuid() != 0 && confinement.open_files > now.rlim_max) {
-    file.refuse("host_open_files", fmt::format("only root may give more than the {} that this user has", now.rlim_max));
-  }
-  if (confinement.user.empty()) return;
-  checked(file, "host_user", [&] {
-    const processes::Account account = processes::find_account(confinement.user);
-    if (account.user == 0) throw config::Error("driver hosts would run as root: name a user with no rights");
-    if (!hosts.starter.empty() || geteuid() == 0 || geteuid() == account.user) return;
-    throw config::Error(
-        fmt::format("only a gateway that runs as root can run its driver hosts as {} itself; let systemd start them "
-                    "(host_starter: /run/iotcloud-host), or leave this out",
-                    confinement.user));
-  });
-}
-
-/// Reads the ports to which hosts may connect.
-void read_ports(config::YamlSection& file, ProcessLauncher::Options& hosts) {
-  const std::string key = "host_ports";
-  auto section = file.optional_section(key);
-  if (!section) return;
-  constexpr int highest = 65535;
-  for (const std::string& plugin : section->names()) {
-    for (const std::string& text : section->strings_or(plugin, {})) {
-      const auto port = config::parse_number<std::uint16_t>(text);
-      if (!port || *port == 0) {
-        section->refuse(plugin, fmt::format("\"{}\" is no port", text), fmt::format("1 to {}", highest));
-        continue;
-      }
-      hosts.ports[plugin].push_back(*port);
-    }
-  }
-  section->finish();
-  if (hosts.ports[ProcessLauncher::every_plugin].empty()) {
-    file.refuse(key, "it names no ports for every plugin, and hosts would not reach the brokers",
-                fmt::format("{}: [5672]", ProcessLauncher::every_plugin));
-  }
-  if (!hosts.confinement.filter_calls) {
-    file.refuse(key, "hosts would get around it with the system calls that they then have", "host_call_filter: true");
-  }
-  if (processes::landlock_version() < processes::landlock_of_connections) {
-    file.refuse(key, "this kernel cannot restrict what its processes connect to: it takes Linux 6.7 with Landlock",
-                "leave it out, and use a firewall or systemd's IPAddressAllow (deploy/README.md)");
-  }
+  hosts.ports = processes::read_ports(file, confinement_words(), hosts.confinement);
 }
 
 void read_plugins(config::YamlSection& file, GatewayConfig& config) {
@@ -199,7 +140,6 @@ void read_hosts(config::YamlSection& file, GatewayConfig& config) {
   constexpr std::int64_t most_mb = 1 << 20;
   hosts.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("host_memory_limit_mb", 0, 0, most_mb)) << 20;
   read_confinement(file, hosts);
-  read_ports(file, hosts);
   hosts.environment = file.strings_or("host_environment", {});
   for (const auto& broker : config.gateway.brokers) {
     const auto& variable = broker.options.password_variable;

@@ -1,4 +1,3 @@
-#include <array>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
@@ -41,52 +40,15 @@ void add_confinement(std::vector<std::string>& arguments, const processes::Confi
   if (confinement.filter_calls) arguments.emplace_back("--filter-calls");
 }
 
-/// The ports that hosts of this plugin may connect to.
-void add_ports(std::vector<std::string>& arguments, const ProcessLauncher::Ports& ports, const std::string& plugin) {
-  for (const std::string& of : {std::string(ProcessLauncher::every_plugin), plugin}) {
-    const auto found = ports.find(of);
-    if (found == ports.end()) continue;
-    for (const std::uint16_t port : found->second) arguments.push_back("--connect-to=" + std::to_string(port));
-  }
+void add_ports(std::vector<std::string>& arguments, const processes::PortsByCode& ports, const std::string& plugin) {
+  for (const std::uint16_t port : processes::ports_of(ports, plugin).value_or(std::vector<std::uint16_t>()))
+    arguments.push_back("--connect-to=" + std::to_string(port));
 }
-
-/// What every program reads: libraries, names of hosts and accounts, the system's certificates, itself in /proc. The
-/// folder of our own configuration is not among it.
-constexpr std::array readable_by_all = {"/usr",
-                                        "/bin",
-                                        "/sbin",
-                                        "/lib",
-                                        "/lib32",
-                                        "/lib64",
-                                        "/opt",
-                                        "/sys",
-                                        "/proc/self",
-                                        "/proc/cpuinfo",
-                                        "/proc/meminfo",
-                                        "/proc/stat",
-                                        "/proc/sys",
-                                        "/proc/uptime",
-                                        "/etc/ssl",
-                                        "/etc/ld.so.cache",
-                                        "/etc/ld.so.conf",
-                                        "/etc/ld.so.conf.d",
-                                        "/etc/hosts",
-                                        "/etc/host.conf",
-                                        "/etc/resolv.conf",
-                                        "/etc/gai.conf",
-                                        "/etc/nsswitch.conf",
-                                        "/etc/passwd",
-                                        "/etc/group",
-                                        "/etc/services",
-                                        "/etc/protocols",
-                                        "/etc/localtime",
-                                        "/etc/timezone",
-                                        "/run/systemd/resolve",
-                                        "/etc/ca-certificates"};
 
 void add_files(std::vector<std::string>& arguments, const processes::FileAccess& configured,
                const ProcessLauncher::Options& options, const std::string& plugin) {
   processes::FileAccess files = configured;
+  const auto& readable_by_all = processes::readable_by_all();
   files.read.insert(files.read.end(), readable_by_all.begin(), readable_by_all.end());
   files.read.insert(files.read.end(), {plugin, options.plugin_dir});
   // Which devices there are is the business of their owners and of systemd (DeviceAllow). The gateway's own files in

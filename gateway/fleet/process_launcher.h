@@ -17,6 +17,7 @@
 #include <iotcloud/processes/child_account.h>
 #include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/confinement.h>
+#include <iotcloud/processes/confinement_settings.h>
 #include <iotcloud/processes/vitals.h>
 
 namespace iotcloud::gateway {
@@ -27,9 +28,8 @@ namespace iotcloud::gateway {
 /// that this process has when it starts the host.
 class ProcessLauncher final : public HostLauncher {
  public:
-  /// TCP ports by the plugin whose hosts may connect to them; those of `every_plugin` are for all.
-  using Ports = std::map<std::string, std::vector<std::uint16_t>>;
-  static constexpr const char* every_plugin = "all";
+  /// TCP ports by the plugin whose hosts may connect to them.
+  using Ports = processes::PortsByCode;
   struct Options {
     std::string plugin_dir;
     std::shared_ptr<processes::PluginStore> store;       ///< the uploaded plugins; null: there are none

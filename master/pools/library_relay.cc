@@ -71,6 +71,9 @@ void LibraryRelay::pass_all(const std::stop_token& stop) {
   for (const auto& [name, standing] : discovery::list_submissions(registry_, options_.paths)) {
     const auto& of_version = standing.submission.version.libraries;
     needed.insert(needed.end(), of_version.begin(), of_version.end());
+    if (!standing.submission.previous) continue;
+    const auto& before = standing.submission.previous->libraries;
+    needed.insert(needed.end(), before.begin(), before.end());
   }
   const auto now = std::chrono::steady_clock::now();
   for (const auto& pool : pools) {

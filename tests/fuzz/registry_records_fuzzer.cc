@@ -6,6 +6,7 @@
 #include "iotcloud/discovery/freeze.h"
 #include "iotcloud/discovery/presence.h"
 #include "iotcloud/discovery/records.h"
+#include "iotcloud/discovery/submissions.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 #include "iotcloud/tests/fuzz/fuzz_target.h"
 
@@ -32,7 +33,7 @@ void take(const std::string& bytes, Record (*decode)(const std::string&, const s
 IOTCLOUD_FUZZ_TARGET(registry_records, 15'000) {
   if (size == 0) return;
   const std::string bytes(fuzz::text(data + 1, size - 1));
-  switch (*data % 13) {
+  switch (*data % 16) {
     case 0:
       return take(bytes, discovery::decode_order);
     case 1:
@@ -57,6 +58,12 @@ IOTCLOUD_FUZZ_TARGET(registry_records, 15'000) {
       return take(bytes, discovery::decode_adoption);
     case 11:
       return take(bytes, discovery::decode_gateway);
+    case 12:
+      return take(bytes, discovery::decode_submission);
+    case 13:
+      return take(bytes, discovery::decode_pool);
+    case 14:
+      return take(bytes, discovery::decode_history);
     default:
       return take(bytes, discovery::decode_removal);
   }

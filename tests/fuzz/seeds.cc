@@ -15,6 +15,7 @@
 #include "iotcloud/discovery/freeze.h"
 #include "iotcloud/discovery/presence.h"
 #include "iotcloud/discovery/records.h"
+#include "iotcloud/discovery/submissions.h"
 #include "iotcloud/drivers/depth/depth_codec.h"
 #include "iotcloud/drivers/turtle/robot/protocol.h"
 #include "iotcloud/master/orders/backup_file.h"
@@ -140,6 +141,14 @@ SeedsOfTarget registry_records() {
   discovery::GatewayRecord gateway;
   gateway.id = discovery::GatewayId("gw");
   gateway.brokers = {"rabbitmq"};
+  discovery::Submission submission;
+  submission.name = topology.name;
+  submission.version = {2, "yaml", {{"x.so", "x.so", "12"}}, "digest"};
+  submission.previous = {1, "before", {}, ""};
+  discovery::PoolRecord pool;
+  pool.id = discovery::PoolId("p");
+  pool.host = "lab1";
+  pool.places = {{topology.name, 1, {}, 2, "running", "", "w", 5}};
   const std::string deep = std::string(70, '[') + std::string(70, ']');
   return {
       {"order", '\0' + encode(order)},
@@ -156,7 +165,10 @@ SeedsOfTarget registry_records() {
       {"freeze", '\x09' + encode(discovery::FreezeRecord{"emptied", 5, "token", true})},
       {"adoption", '\x0a' + encode(discovery::Adoption{"token", 7})},
       {"gateway", '\x0b' + encode(gateway)},
-      {"removal", '\x0c' + encode(discovery::OrderRemoval{order.instance, 7, 1'700'000'000'000})},
+      {"submission", '\x0c' + encode(submission)},
+      {"pool", '\x0d' + encode(pool)},
+      {"history", '\x0e' + encode(discovery::TopologyHistory{{{5, "submit", 1, "digest", 2, "1 of 1 done"}}})},
+      {"removal", '\x0f' + encode(discovery::OrderRemoval{order.instance, 7, 1'700'000'000'000})},
   };
 }
 

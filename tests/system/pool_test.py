@@ -148,6 +148,7 @@ def check_takeover(pools):
     begun = time.monotonic()
     wait_for("pool-1 has taken over", lambda: [pool for pool, _ in pools.places()] == ["pool-1"] * 2)
     print(f"taken over after {time.monotonic() - begun:.1f} s (session time-out {SESSION})")
+    shutil.rmtree(pools.out / "state" / "pool-2")  # a new machine: the master sends it the library
     pools.again("pool-2")
     wait_for("pool-2 has its share again", lambda: sorted(pool for pool, _ in pools.places()) == ["pool-1", "pool-2"])
 

@@ -71,6 +71,9 @@ void read_workers(config::YamlSection& file, PoolConfig& config) {
   read_time(file, "worker_hang_limit", workers.hang_limit);
   read_time(file, "worker_spin_limit", workers.limits.spin);
   workers.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("worker_memory_limit_mb", 0, 0, most_mb)) << 20;
+  static const processes::ConfinementWords words{"worker_", "a pool", "workers", "a worker", ""};
+  workers.confinement = processes::read_confinement(file, words, false);
+  workers.ports = processes::read_ports(file, words, workers.confinement);
   workers.environment = file.strings_or("worker_environment", {});
   if (auto log = file.optional_section("worker_log")) {
     workers.log_limit_mb = static_cast<int>(log->int_or("limit_mb", workers.log_limit_mb, 1, most_mb));

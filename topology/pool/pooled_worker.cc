@@ -24,8 +24,10 @@ PooledWorker::PooledWorker(std::string folder)
     : folder_(std::move(folder)),
       spec_(pooled::read_spec(folder_)),
       log_file_({spec_.log, static_cast<std::uint64_t>(spec_.log_limit_mb) << 20, spec_.logs_kept}),
-      listener_(processes::listen_in(folder_, pooled::socket_name)),
-      thread_([this](const std::stop_token& stop) { run(stop); }) {}
+      listener_(processes::listen_in(folder_, pooled::socket_name)) {
+  processes::confine(pooled::confinement_of(spec_.confinement));
+  thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
+}
 
 PooledWorker::~PooledWorker() {
   thread_.request_stop();
@@ -43,8 +45,8 @@ void PooledWorker::probe_with(std::function<void()> probe) {
   probe_ = std::move(probe);
 }
 
-void PooledWorker::leave_word(bool refused, const std::string& reason) noexcept try {
-  const std::string path = folder_ + "/" + pooled::end_name;
+void PooledWorker::leave_word(const std::string& folder, bool refused, const std::string& reason) noexcept try {
+  const std::string path = folder + "/" + pooled::end_name;
   // The pool made the file, because the worker's account may have no right to make one there.
   const processes::OwnedDescriptor file(open(path.c_str(), O_WRONLY | O_TRUNC | O_CLOEXEC));
   if (file) processes::write_all(file, pooled::encode(pooled::WorkerEnd{refused, reason}), path);

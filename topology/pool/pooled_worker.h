@@ -19,7 +19,8 @@ namespace iotcloud::topology {
 /// Thread safe.
 class PooledWorker {
  public:
-  /// Listens from now on. \param folder as the pool made it. \throws config::Error
+  /// Listens from now on, then confines this process, which has one thread yet (worker_protocol.h).
+  /// \param folder as the pool made it. \throws config::Error
   explicit PooledWorker(std::string folder);
   ~PooledWorker();
 
@@ -31,7 +32,7 @@ class PooledWorker {
   /// answer proves that the worker does not hang. When it returns, the one before does not run any more.
   void probe_with(std::function<void()> probe);
   /// Leaves word for the pool why this process ends. Does not throw.
-  void leave_word(bool refused, const std::string& reason) noexcept;
+  static void leave_word(const std::string& folder, bool refused, const std::string& reason) noexcept;
 
  private:
   void run(const std::stop_token& stop);

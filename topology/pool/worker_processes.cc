@@ -68,6 +68,22 @@ std::string WorkerProcesses::checked_library(const discovery::SentLibrary& libra
   return *path;
 }
 
+/// What a worker in this folder gives up: with restricted files it reaches the system's, its program's and libraries'
+/// folders, its own folder and the logs, besides those that are configured.
+pooled::WorkerConfinement WorkerProcesses::confinement_in(const std::string& folder,
+                                                          const discovery::TopologyName& topology) const {
+  processes::Confinement confinement = options_.confinement;
+  confinement.ports = processes::ports_of(options_.ports, topology);
+  if (confinement.files) {
+    auto& [read, write] = *confinement.files;
+    const auto& by_all = processes::readable_by_all();
+    read.insert(read.end(), by_all.begin(), by_all.end());
+    read.insert(read.end(), {fs::path(options_.program).parent_path().string(), options_.state_dir + "/libraries"});
+    write.insert(write.end(), {"/dev", folder, options_.state_dir + "/logs"});
+  }
+  return pooled::worker_confinement(confinement);
+}
+
 std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, WorkerEvents events) {
   pooled::WorkerSpec spec;
   spec.pool = options_.pool;
@@ -79,6 +95,7 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
   spec.log_limit_mb = options_.log_limit_mb;
   spec.logs_kept = options_.logs_kept;
   const std::string folder = folder_of(processes::random_name());
+  spec.confinement = confinement_in(folder, spec.topology);
   make_folder(folder);
   try {
     write_file(folder + "/" + pooled::yaml_name, order.version.yaml);

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/confinement_settings.h>
 #include <iotcloud/processes/plugin_store.h>
 #include <iotcloud/processes/vitals.h>
 #include <iotcloud/security/trusted_keys.h>
@@ -28,6 +29,8 @@ class WorkerProcesses final : public WorkerLauncher {
     std::chrono::milliseconds ping_period{1000};
     std::chrono::milliseconds hang_limit{10000};  ///< a worker that has not answered for this long hangs
     std::chrono::milliseconds stop_limit{10000};  ///< until a worker that drains gives up the rest
+    processes::Confinement confinement;           ///< that every worker gets; `ports` come from below
+    processes::PortsByCode ports;                 ///< by topology; empty: workers connect to whatever they like
     processes::VitalLimits limits{.memory_bytes = 0, .spin = std::chrono::milliseconds{0}};
     std::vector<std::string> environment;  ///< names of variables that workers have besides the usual ones
     int log_limit_mb = 10;                 ///< the size at which a worker's log is rotated
@@ -45,6 +48,7 @@ class WorkerProcesses final : public WorkerLauncher {
 
  private:
   std::string folder_of(const std::string& name) const { return options_.state_dir + "/workers/" + name; }
+  pooled::WorkerConfinement confinement_in(const std::string& folder, const discovery::TopologyName& topology) const;
   std::string checked_library(const discovery::SentLibrary& library) const;
   std::optional<RunningWorker> examine(const std::string& name) const;
 

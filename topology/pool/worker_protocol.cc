@@ -21,6 +21,33 @@ Struct read(const std::string& path) {
 
 }  // namespace
 
+processes::Confinement confinement_of(const WorkerConfinement& worker) {
+  processes::Confinement confinement;
+  confinement.open_files = worker.open_files;
+  confinement.processes = worker.processes;
+  confinement.no_new_privileges = worker.no_new_privileges;
+  confinement.debuggable = worker.debuggable;
+  confinement.filter_calls = worker.filter_calls;
+  if (worker.readable) confinement.files = processes::FileAccess{*worker.readable, worker.writable};
+  confinement.ports = worker.ports;
+  return confinement;
+}
+
+WorkerConfinement worker_confinement(const processes::Confinement& confinement) {
+  WorkerConfinement worker;
+  worker.open_files = confinement.open_files;
+  worker.processes = confinement.processes;
+  worker.no_new_privileges = confinement.no_new_privileges;
+  worker.debuggable = confinement.debuggable;
+  worker.filter_calls = confinement.filter_calls;
+  if (confinement.files) {
+    worker.readable = confinement.files->read;
+    worker.writable = confinement.files->write;
+  }
+  worker.ports = confinement.ports;
+  return worker;
+}
+
 std::string encode(const WorkerSpec& spec) {
   return text_of(spec);
 }

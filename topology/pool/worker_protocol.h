@@ -4,10 +4,12 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <iotcloud/discovery/description/fields.h>
 #include <iotcloud/discovery/ids.h>
 #include <iotcloud/discovery/submissions.h>
+#include <iotcloud/processes/confinement.h>
 
 /// What a pool and a worker that it started tell each other: files in the worker's folder, and frames of JSON
 /// (processes/frames.h) on the socket there, on which the worker listens.
@@ -19,6 +21,23 @@ inline constexpr const char* yaml_name = "topology.yaml";
 inline constexpr const char* end_name = "end.json";
 inline constexpr const char* socket_name = "control.sock";
 
+/// What a worker gives up before it loads a library (processes::Confinement).
+struct WorkerConfinement {
+  std::uint64_t open_files = 0;
+  std::uint64_t processes = 0;
+  bool no_new_privileges = false;
+  bool debuggable = true;
+  bool filter_calls = false;
+  std::optional<std::vector<std::string>> readable;  ///< with `writable`; nullopt: no restriction
+  std::vector<std::string> writable;
+  std::optional<std::vector<std::uint16_t>> ports;  ///< nullopt: no restriction
+  static constexpr const char* what = "a worker's confinement";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(open_files, usual),        IOTCLOUD_FIELD(processes, usual),
+                                            IOTCLOUD_FIELD(no_new_privileges, usual), IOTCLOUD_FIELD(debuggable, usual),
+                                            IOTCLOUD_FIELD(filter_calls, usual),      IOTCLOUD_FIELD(readable, rare),
+                                            IOTCLOUD_FIELD(writable, usual),          IOTCLOUD_FIELD(ports, rare)};
+};
+
 /// The file `worker.json`: what the pool wants of the worker. A pool that finds the worker of its former run reads it
 /// again.
 struct WorkerSpec {
@@ -28,13 +47,14 @@ struct WorkerSpec {
   std::int64_t version = 0;
   std::map<std::string, std::string> libraries;  ///< paths of component libraries, by how the YAML names them
   std::string log;                               ///< the file that stdout and stderr go to
+  WorkerConfinement confinement;
   int log_limit_mb = 10;
   int logs_kept = 3;
   static constexpr const char* what = "a pool's order to a worker";
-  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(pool, required),      IOTCLOUD_FIELD(topology, required),
-                                            IOTCLOUD_FIELD(place, required),     IOTCLOUD_FIELD(version, usual),
-                                            IOTCLOUD_FIELD(libraries, usual),    IOTCLOUD_FIELD(log, usual),
-                                            IOTCLOUD_FIELD(log_limit_mb, usual), IOTCLOUD_FIELD(logs_kept, usual)};
+  static constexpr auto fields = std::tuple{
+      IOTCLOUD_FIELD(pool, required),      IOTCLOUD_FIELD(topology, required), IOTCLOUD_FIELD(place, required),
+      IOTCLOUD_FIELD(version, usual),      IOTCLOUD_FIELD(libraries, usual),   IOTCLOUD_FIELD(log, usual),
+      IOTCLOUD_FIELD(log_limit_mb, usual), IOTCLOUD_FIELD(logs_kept, usual),   IOTCLOUD_FIELD(confinement, usual)};
   discovery::PlaceId place_id() const { return {topology, place}; }
 };
 
@@ -61,6 +81,10 @@ struct PoolCommand {
   static constexpr const char* what = "a pool's command";
   static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(stop, required)};
 };
+
+/// The same in the terms of processes/confinement.h, and back.
+processes::Confinement confinement_of(const WorkerConfinement& worker);
+WorkerConfinement worker_confinement(const processes::Confinement& confinement);
 
 std::string encode(const WorkerSpec& spec);
 std::string encode(const WorkerEnd& end);

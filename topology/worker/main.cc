@@ -123,20 +123,14 @@ std::unique_ptr<config::DaemonService> build(const std::string& file) {
 /// A worker that a pool has started: it tells the pool how it fares.
 class PooledService final : public config::DaemonService {
  public:
-  PooledService(const std::string& folder, const std::string& file) : link_(folder) {
-    try {
-      worker_ = build_worker(file, link_.spec().libraries);
-    } catch (const std::exception& error) {
-      link_.leave_word(true, error.what());
-      throw;
-    }
-  }
+  PooledService(const std::string& folder, const std::string& file)
+      : link_(folder), worker_(build_worker(file, link_.spec().libraries)) {}
   void start(const std::stop_token& stop) override {
     link_.show({false, worker_->name()});
     try {
       worker_->start(stop);
     } catch (const std::exception& error) {
-      link_.leave_word(false, error.what());
+      topology::PooledWorker::leave_word(link_.folder(), false, error.what());
       throw;
     }
     link_.probe_with([this] { static_cast<void>(worker_->trouble()); });
@@ -151,7 +145,7 @@ class PooledService final : public config::DaemonService {
 
  private:
   topology::PooledWorker link_;
-  std::unique_ptr<WorkerService> worker_;
+  const std::unique_ptr<WorkerService> worker_;
 };
 
 /// Runs `--check FILE`. \return the exit status.
@@ -196,11 +190,18 @@ int run_pool(int argc, char** argv) {
 }
 
 int run_pooled(const std::string& folder, int argc, char** argv) {
-  return run_without(
-      2, argc, argv,
-      {.name = "iotcloud-topology",
-       .description = "Runs one worker of a topology, for a pool.",
-       .build = [folder](const std::string& file) { return std::make_unique<PooledService>(folder, file); }});
+  const auto build_pooled = [folder](const std::string& file) {
+    try {
+      return std::make_unique<PooledService>(folder, file);
+    } catch (const std::exception& error) {
+      topology::PooledWorker::leave_word(folder, true, error.what());
+      throw;
+    }
+  };
+  return run_without(2, argc, argv,
+                     {.name = "iotcloud-topology",
+                      .description = "Runs one worker of a topology, for a pool.",
+                      .build = build_pooled});
 }
 
 }  // namespace

@@ -1,8 +1,11 @@
 // A worker that does what its YAML says, in one word; started by worker_processes_test.cc.
 #include <csignal>
 #include <cstdlib>
+#include <fstream>
 #include <string>
 
+#include <sys/prctl.h>
+#include <sys/ptrace.h>
 #include <unistd.h>
 
 #include <iotcloud/processes/durable_file.h>
@@ -18,10 +21,21 @@ int main(int, char** argv) {
   topology::PooledWorker link(folder);
   const std::string wanted = processes::read_file(folder + "/" + topology::pooled::yaml_name, 0);
   if (wanted == "refuse" || wanted == "fail") {
-    link.leave_word(wanted == "refuse", "there is no class");
+    topology::PooledWorker::leave_word(folder, wanted == "refuse", "there is no class");
     return 1;
   }
   if (wanted == "crash") std::abort();
+  if (wanted == "look around") {
+    // Which of these a confined worker still may: a file of the pool, its own log, and to trace a process.
+    std::string found;
+    if (access((folder + "/../../secret").c_str(), R_OK) == 0 && std::ifstream(folder + "/../../secret"))
+      found += "secret ";
+    if (std::ofstream(folder + "/mine")) found += "folder ";
+    if (ptrace(PTRACE_TRACEME, 0, nullptr, nullptr) == 0) found += "ptrace ";
+    if (prctl(PR_GET_NO_NEW_PRIVS, 0, 0, 0, 0) == 1) found += "no-new-privileges ";
+    topology::PooledWorker::leave_word(folder, true, found);
+    return 1;
+  }
   link.show({true, "worker-" + std::to_string(getpid())});
   if (wanted == "stand still") raise(SIGSTOP);
   int received = 0;

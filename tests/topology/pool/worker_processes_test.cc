@@ -8,6 +8,7 @@
 #include <signal.h>
 #include <stdlib.h>
 
+#include <iotcloud/processes/landlock.h>
 #include <iotcloud/security/sha256.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/topology/pool/views.h>
@@ -85,6 +86,7 @@ class WorkerProcessesTest : public testing::Test {
     options.program = POOLED_PROGRAM;
     options.ping_period = 20ms;
     options.hang_limit = hang_limit_;
+    options.confinement = confinement_;
     return std::make_unique<WorkerProcesses>(options);
   }
   static WorkerOrder order(const std::string& wanted) {
@@ -100,6 +102,7 @@ class WorkerProcessesTest : public testing::Test {
   }
 
   std::chrono::milliseconds hang_limit_ = tests::patience;
+  processes::Confinement confinement_;
   std::string folder_, state_;
   std::shared_ptr<processes::PluginStore> store_;
   std::shared_ptr<const security::TrustedKeys> trust_ = std::make_shared<const security::TrustedKeys>();
@@ -137,6 +140,22 @@ TEST_F(WorkerProcessesTest, TellsHowAWorkerCrashed) {
   const auto link = workers->start(order("crash"), told_.events());
   EXPECT_EQ(told_.ending().how, How::failed);
   EXPECT_THAT(told_.ending().reason, HasSubstr("signal 6"));
+}
+
+TEST_F(WorkerProcessesTest, AConfinedWorkerReachesItsOwnFolderAndNoFileOfThePool) {
+  std::ofstream(state_ + "/secret") << "the pool's";
+  const auto look_around = [&] {
+    Told told;
+    const auto workers = make();
+    const auto link = workers->start(order("look around"), told.events());
+    return told.ending().reason;
+  };
+  EXPECT_EQ(look_around(), "secret folder ptrace ");
+  confinement_.no_new_privileges = true;
+  confinement_.filter_calls = true;
+  if (processes::landlock_version() > 0) confinement_.files.emplace();
+  EXPECT_EQ(look_around(),
+            std::string(processes::landlock_version() > 0 ? "" : "secret ") + "folder no-new-privileges ");
 }
 
 TEST_F(WorkerProcessesTest, KillsAWorkerThatHangs) {

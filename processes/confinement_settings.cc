@@ -1,0 +1,138 @@
+#include <fmt/format.h>
+#include <sys/resource.h>
+#include <unistd.h>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/config/number.h>
+#include <iotcloud/processes/confinement_settings.h>
+#include <iotcloud/processes/landlock.h>
+
+namespace iotcloud::processes {
+
+namespace {
+
+/// Whether this daemon can have processes of that account. \throws config::Error if not.
+void check_account(const std::string& user, const ConfinementWords& words, bool started_for_us) {
+  const Account account = find_account(user);
+  if (account.user == 0)
+    throw config::Error(fmt::format("{} would run as root: name a user with no rights", words.processes));
+  if (started_for_us || geteuid() == 0 || geteuid() == account.user) return;
+  throw config::Error(fmt::format("only {} that runs as root can run its {} as {} itself; {}", words.daemon,
+                                  words.processes, user, words.instead_of_root));
+}
+
+}  // namespace
+
+Confinement read_confinement(config::YamlSection& file, const ConfinementWords& words, bool started_for_us) {
+  Confinement confinement;
+  const auto key = [&](const char* name) { return words.prefix + name; };
+  confinement.no_new_privileges = true;
+  confinement.filter_calls = file.bool_or(key("call_filter"), true);
+  confinement.debuggable = file.bool_or(key("debugging"), false);
+  if (!words.instead_of_root.empty()) confinement.user = file.string_or(key("user"), "");
+  constexpr std::int64_t fewest_files = 64, most_files = 1 << 20;
+  confinement.open_files = static_cast<std::uint64_t>(file.int_or(key("open_files"), 0, 0, most_files));
+  if (confinement.open_files > 0 && confinement.open_files < fewest_files) {
+    file.refuse(key("open_files"), fmt::format("{} alone needs some", words.one),
+                fmt::format("at least {}", fewest_files));
+  }
+  constexpr std::int64_t most_processes = 1 << 22;
+  confinement.processes = static_cast<std::uint64_t>(file.int_or(key("processes"), 0, 0, most_processes));
+  if (auto files = file.optional_section(key("files"))) {
+    confinement.files.emplace();
+    confinement.files->read = files->strings_or("read", {});
+    confinement.files->write = files->strings_or("write", {});
+    files->finish();
+  }
+  rlimit now{};
+  getrlimit(RLIMIT_NOFILE, &now);
+  if (geteuid() != 0 && confinement.open_files > now.rlim_max) {
+    file.refuse(key("open_files"), fmt::format("only root may give more than the {} that this user has", now.rlim_max));
+  }
+  if (confinement.user.empty()) return confinement;
+  try {
+    check_account(confinement.user, words, started_for_us);
+  } catch (const config::Error& e) {
+    file.refuse(key("user"), e.what());
+  }
+  return confinement;
+}
+
+PortsByCode read_ports(config::YamlSection& file, const ConfinementWords& words, const Confinement& confinement) {
+  PortsByCode ports;
+  const std::string key = words.prefix + "ports";
+  auto section = file.optional_section(key);
+  if (!section) return ports;
+  constexpr int highest = 65535;
+  for (const std::string& code : section->names()) {
+    for (const std::string& text : section->strings_or(code, {})) {
+      const auto port = config::parse_number<std::uint16_t>(text);
+      if (!port || *port == 0) {
+        section->refuse(code, fmt::format("\"{}\" is no port", text), fmt::format("1 to {}", highest));
+        continue;
+      }
+      ports[code].push_back(*port);
+    }
+  }
+  section->finish();
+  if (ports[every_code].empty()) {
+    file.refuse(key, fmt::format("it names no ports for all, and {} would not reach the brokers", words.processes),
+                fmt::format("{}: [5672]", every_code));
+  }
+  if (!confinement.filter_calls) {
+    file.refuse(key, fmt::format("{} would get around it with the system calls that they then have", words.processes),
+                words.prefix + "call_filter: true");
+  }
+  if (landlock_version() < landlock_of_connections) {
+    file.refuse(key, "this kernel cannot restrict what its processes connect to: it takes Linux 6.7 with Landlock",
+                "leave it out, and use a firewall or systemd's IPAddressAllow (deploy/README.md)");
+  }
+  return ports;
+}
+
+std::optional<std::vector<std::uint16_t>> ports_of(const PortsByCode& ports, const std::string& code) {
+  if (ports.empty()) return std::nullopt;
+  std::vector<std::uint16_t> allowed;
+  for (const std::string& of : {std::string(every_code), code}) {
+    const auto found = ports.find(of);
+    if (found != ports.end()) allowed.insert(allowed.end(), found->second.begin(), found->second.end());
+  }
+  return allowed;
+}
+
+const std::vector<std::string>& readable_by_all() {
+  static const std::vector<std::string> paths{"/usr",
+                                              "/bin",
+                                              "/sbin",
+                                              "/lib",
+                                              "/lib32",
+                                              "/lib64",
+                                              "/opt",
+                                              "/sys",
+                                              "/proc/self",
+                                              "/proc/cpuinfo",
+                                              "/proc/meminfo",
+                                              "/proc/stat",
+                                              "/proc/sys",
+                                              "/proc/uptime",
+                                              "/etc/ssl",
+                                              "/etc/ld.so.cache",
+                                              "/etc/ld.so.conf",
+                                              "/etc/ld.so.conf.d",
+                                              "/etc/hosts",
+                                              "/etc/host.conf",
+                                              "/etc/resolv.conf",
+                                              "/etc/gai.conf",
+                                              "/etc/nsswitch.conf",
+                                              "/etc/passwd",
+                                              "/etc/group",
+                                              "/etc/services",
+                                              "/etc/protocols",
+                                              "/etc/localtime",
+                                              "/etc/timezone",
+                                              "/run/systemd/resolve",
+                                              "/etc/ca-certificates"};
+  return paths;
+}
+
+}  // namespace iotcloud::processes

@@ -1,0 +1,45 @@
+#pragma once
+
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <iotcloud/config/yaml.h>
+#include <iotcloud/processes/confinement.h>
+
+namespace iotcloud::processes {
+
+/// TCP ports that processes may connect to, by the code that they run (a plugin's file, say); those of `every_code` are
+/// for all. Empty: processes connect to whatever they like.
+using PortsByCode = std::map<std::string, std::vector<std::uint16_t>>;
+inline constexpr const char* every_code = "all";
+
+/// How a daemon's configuration file speaks of the processes that it confines.
+struct ConfinementWords {
+  std::string prefix;     ///< of the keys: "host_"
+  std::string daemon;     ///< "a gateway"
+  std::string processes;  ///< "driver hosts"
+  std::string one;        ///< "a driver host"
+  /// What to do instead of running the daemon as root, to have processes of another user; empty: they have the daemon's
+  /// user, and there is no key `<prefix>user`.
+  std::string instead_of_root;
+};
+
+/// Reads `<prefix>user`, `<prefix>open_files`, `<prefix>processes`, `<prefix>files`, `<prefix>call_filter` and
+/// `<prefix>debugging`, and checks now, rather than when the first process is started, that this machine allows it.
+/// \param started_for_us somebody who may start processes of another user does so for this daemon
+Confinement read_confinement(config::YamlSection& file, const ConfinementWords& words, bool started_for_us);
+
+/// Reads `<prefix>ports`, and checks that this machine can restrict connections.
+PortsByCode read_ports(config::YamlSection& file, const ConfinementWords& words, const Confinement& confinement);
+
+/// The ports for processes that run this code; nullopt: no restriction.
+std::optional<std::vector<std::uint16_t>> ports_of(const PortsByCode& ports, const std::string& code);
+
+/// What every program reads: libraries, names of hosts and accounts, the system's certificates, itself in /proc. The
+/// folder of our own configuration is not among it.
+const std::vector<std::string>& readable_by_all();
+
+}  // namespace iotcloud::processes
