@@ -1,5 +1,11 @@
+#include <algorithm>
 #include <sstream>
 
+#include <fmt/format.h>
+#include <unistd.h>
+
+#include <iotcloud/brokers/broker_setting.h>
+#include <iotcloud/config/exposure.h>
 #include <iotcloud/discovery/channel_names.h>
 #include <iotcloud/topology/endpoints/services.h>
 
@@ -18,7 +24,35 @@ std::string url_of(const discovery::ChannelRecord& channel) {
   return bare && channel.properties.contains("topic") ? "kafka://" + channel.broker_url : channel.broker_url;
 }
 
+std::string unique_name() {
+  return fmt::format("{}-{}-{}", config::host_name(), getpid(), discovery::new_instance_id().str().substr(0, 8));
+}
+
 }  // namespace
+
+EndpointServicesPtr make_endpoint_services(const TopologyDefinition& definition, const config::Clock* clock,
+                                           config::Metrics* metrics) {
+  auto services = std::make_shared<EndpointServices>();
+  services->topology = definition.name;
+  services->worker = unique_name();
+  services->paths = discovery::Paths(definition.zk_root);
+  services->broker_options = definition.brokers;
+  services->other_brokers.heartbeat = brokers::usual_heartbeat(definition.registry.session_timeout);
+  services->clock = clock != nullptr ? clock : &config::system_clock();
+  services->metrics = metrics != nullptr ? metrics : &config::process_metrics();
+  services->brokers = std::make_shared<brokers::BrokerPool>(clock, services->metrics);
+  if (services->clock == &config::system_clock())
+    services->fence = std::make_shared<StandstillFence>(*services->clock, longest_standstill(*services));
+  return services;
+}
+
+/// One heartbeat: a broker closes a connection after two of silence at the earliest, and the process may have been
+/// silent for one when it stops.
+std::chrono::milliseconds longest_standstill(const EndpointServices& services) {
+  auto shortest = services.other_brokers.heartbeat;
+  for (const auto& [name, options] : services.broker_options) shortest = std::min(shortest, options.heartbeat);
+  return shortest;
+}
 
 brokers::Topic topic_of(const discovery::ChannelRecord& channel) {
   return {property(channel, "exchange"), discovery::wire_name(channel), property(channel, "durable") == "true"};

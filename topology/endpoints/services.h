@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <functional>
 #include <map>
 #include <memory>
@@ -47,6 +48,14 @@ struct EndpointServices {
   std::vector<std::function<void()>> after_stop;   ///< the worker calls these when it has left the registry
 };
 using EndpointServicesPtr = std::shared_ptr<EndpointServices>;
+
+/// The services of a topology in this process, under a name that no other worker has; its owner adds a registry. With
+/// the system's clock the fence notes when the process stands still, so a FenceHeart must beat for it.
+/// \param clock nullptr: the system's. \param metrics nullptr: the process's
+EndpointServicesPtr make_endpoint_services(const TopologyDefinition& definition, const config::Clock* clock,
+                                           config::Metrics* metrics);
+/// How long the process may stand still without losing a connection to a broker.
+std::chrono::milliseconds longest_standstill(const EndpointServices& services);
 
 /// The topic of a channel, as its record says.
 brokers::Topic topic_of(const discovery::ChannelRecord& channel);

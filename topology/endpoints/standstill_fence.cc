@@ -122,4 +122,14 @@ void StandstillFence::ignore(int listener) {
   while (called_ == listener) left_.wait(mutex_);
 }
 
+FenceHeart::FenceHeart(StandstillFence& fence, std::chrono::milliseconds limit)
+    : thread_([&fence, limit](const std::stop_token& stop) {
+        config::Mutex mutex;
+        config::StoppableConditionVariable end;
+        const config::MutexLock lock(mutex);
+        do {
+          fence.beat();
+        } while (!end.wait_for(mutex, stop, limit / 4, [&] { return stop.stop_requested(); }));
+      }) {}
+
 }  // namespace iotcloud::topology

@@ -70,4 +70,14 @@ class StandstillFence {
   std::map<int, std::function<void()>> listeners_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
+/// Beats for a fence, on a thread of its own, until it is destroyed.
+class FenceHeart {
+ public:
+  /// \param fence lives as long. \param limit the fence's
+  FenceHeart(StandstillFence& fence, std::chrono::milliseconds limit);
+
+ private:
+  std::jthread thread_;
+};
+
 }  // namespace iotcloud::topology

@@ -151,6 +151,13 @@ TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name
   }
 }
 
+/// The tasks of its own components, without Storm's.
+int tasks_of(const TopologyDetails& details) {
+  int tasks = 0;
+  for (const auto& executor : details.executors) tasks += executor.last_task - executor.first_task + 1;
+  return tasks;
+}
+
 std::size_t workers_of(const TopologyDetails& details) {
   std::set<std::pair<std::string, int>> workers;
   for (const auto& executor : details.executors) workers.emplace(executor.host, executor.port);
@@ -186,7 +193,7 @@ int submit(const StormCall& call, const std::string& file, std::optional<int> wo
     return 0;
   }
   const TopologyDetails details = wait_until_running(nimbus, job.name, limit);
-  fmt::print("{} runs: {} tasks in {} workers\n", job.name, details.topology.tasks, workers_of(details));
+  fmt::print("{} runs: {} tasks in {} workers\n", job.name, tasks_of(details), workers_of(details));
   return 0;
 }
 

@@ -36,18 +36,6 @@ constexpr std::chrono::milliseconds after_drain{3000};
 /// How often the brokers are looked at.
 constexpr std::chrono::milliseconds look_pause{500};
 
-/// How long the process may stand still without losing a connection: one heartbeat. A broker closes a connection after
-/// two heartbeats of silence at the earliest, and the process may have been silent for one when it stops.
-std::chrono::milliseconds longest_standstill(const EndpointServices& services) {
-  auto shortest = services.other_brokers.heartbeat;
-  for (const auto& [name, options] : services.broker_options) shortest = std::min(shortest, options.heartbeat);
-  return shortest;
-}
-
-std::string unique_name() {
-  return fmt::format("{}-{}-{}", config::host_name(), getpid(), discovery::new_instance_id().str().substr(0, 8));
-}
-
 RuntimeOptions runtime_options(const WorkerOptions& options) {
   const RunSettings& settings = options.definition.runtime;
   RuntimeOptions runtime;
@@ -65,23 +53,12 @@ RuntimeOptions runtime_options(const WorkerOptions& options) {
 }  // namespace
 
 struct Worker::Impl {
-  explicit Impl(WorkerOptions given) : options(std::move(given)), services(std::make_shared<EndpointServices>()) {
+  explicit Impl(WorkerOptions given)
+      : options(std::move(given)),
+        services(make_endpoint_services(options.definition, options.clock, options.metrics)) {
     const TopologyDefinition& definition = options.definition;
     load_libraries(definition, options.library_folders, options.components, options.libraries);
-    services->topology = definition.name;
-    services->worker = unique_name();
-    services->paths = discovery::Paths(definition.zk_root);
-    services->broker_options = definition.brokers;
-    services->other_brokers.heartbeat = brokers::usual_heartbeat(definition.registry.session_timeout);
-    services->clock = options.clock != nullptr ? options.clock : &config::system_clock();
-    services->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
-    if (options.fence) {
-      services->fence = options.fence;
-    } else if (services->clock == &config::system_clock()) {
-      standstill = longest_standstill(*services);
-      services->fence = std::make_shared<StandstillFence>(*services->clock, standstill);
-    }
-    services->brokers = std::make_shared<brokers::BrokerPool>(options.clock, services->metrics);
+    if (options.fence) services->fence = options.fence;
     watch.emplace(links_of(services->brokers), *services->clock, *services->metrics,
                   config::Labels{{"topology", services->topology.str()}});
     std::map<std::string, std::string> certificates;
@@ -113,7 +90,8 @@ struct Worker::Impl {
       options.registry = own_registry.get();
     }
     services->registry = options.registry;
-    if (standstill.count() > 0) heart = std::jthread([this](const std::stop_token& end) { beat(end); });
+    if (!options.fence && services->clock == &config::system_clock())
+      heart.emplace(*services->fence, longest_standstill(*services));
     if (const std::string crossed = crossings(options.definition, topology);
         !crossed.empty() && !stay_alone(crossed, stop))
       return;
@@ -128,15 +106,6 @@ struct Worker::Impl {
     watching = std::jthread([this](const std::stop_token& end) { watch_brokers(end); });
     control->start();  // after everything that a kill order ends
     worker_logger.info("topology {} runs as worker {}", topology.name, services->worker);
-  }
-
-  void beat(const std::stop_token& stop) {
-    config::Mutex mutex;
-    config::StoppableConditionVariable end;
-    const config::MutexLock lock(mutex);
-    do {
-      services->fence->beat();
-    } while (!end.wait_for(mutex, stop, standstill / 4, [&] { return stop.stop_requested(); }));
   }
 
   /// What hinders brokers and components now; empty: nothing.
@@ -256,7 +225,7 @@ struct Worker::Impl {
     alone.reset();
     if (control) control->leave();
     for (const auto& clear_up : services->after_stop) clear_up();
-    heart = {};
+    heart.reset();
   }
 
   WorkerOptions options;
@@ -265,7 +234,6 @@ struct Worker::Impl {
   Topology topology;
   std::optional<BrokerWatch> watch;
   std::optional<security::CertificateDays> certificate_days;  ///< of those that brokers are shown
-  std::chrono::milliseconds standstill{0};                    ///< the fence's limit; 0: no fence
   std::unique_ptr<discovery::Registry> own_registry;
   discovery::GuardPtr alone;  ///< the place of the only worker, for a topology that allows only one
   std::string http_address;   ///< constant after start(), as http_tls
@@ -277,7 +245,7 @@ struct Worker::Impl {
   bool finished IOTCLOUD_GUARDED_BY(finish_mutex) = false;
   std::unique_ptr<WorkerControl> control;  ///< destroyed before the runtime, which it uses
   std::jthread watching;                   ///< watch_brokers(); ends before the control, which it uses
-  std::jthread heart;                      ///< tells the fence that this process runs
+  std::optional<FenceHeart> heart;         ///< tells the fence that this process runs
 };
 
 Worker::Worker(WorkerOptions options) : impl_(std::make_unique<Impl>(std::move(options))) {}

@@ -80,11 +80,18 @@ TEST_P(StormLimits, AreRefusedAtTheirPlace) {
 
 const std::vector<Row> rows{
     {"Name", "topology.name: a.b\nspouts:\n  in: {class: Numbers}\n", "t.yaml:1:1: topology.name", "write \"-\""},
-    {"SpoutOfABroker",
-     "topology.name: t\nbrokers: {rabbitmq: \"amqp://h\"}\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: c, "
-     "fields: "
+    {"EndpointWithoutRegistry",
+     "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: c, fields: [n]}\n",
+     "t.yaml:1:1: ", "zk.servers: [host:2181]"},
+    {"EmbeddedRegistry",
+     "topology.name: t\nregistry: \"embedded://x\"\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: c, fields: "
      "[n]}\n",
-     "t.yaml:4:8: spouts.in.broker", "run the topology with iotcloud-topology"},
+     "t.yaml:2:1: registry", "zk.servers: [host:2181]"},
+    {"EmbeddedBroker",
+     "topology.name: t\nzk.servers: [\"h:2181\"]\nbrokers: {mine: \"embedded://x\"}\nspouts:\n  in: {broker: mine, "
+     "driver: d, "
+     "channel: c, fields: [n]}\n",
+     "t.yaml:3:11: brokers.mine", "name a broker's server"},
     {"SystemStream", head + "  b: {class: System, inputs: {from: in}}\n", "t.yaml:5:7: bolts.b.class", "another name"},
     {"StreamTwice", head + "  b: {class: Pass, inputs: [{from: in}, {from: in, grouping: all}]}\n",
      "t.yaml:5:20: bolts.b.inputs", "remove an input"},

@@ -133,7 +133,7 @@ struct BoltTask {
       return made;
     };
     if (change) change(spec);
-    host = std::make_unique<BoltHost>(task, spec, java.buffer(), java, queue);
+    host = std::make_unique<BoltHost>(task, Component{spec}, java.buffer(), java, queue);
     java.apply(host->open());
   }
   std::vector<std::string> execute(std::uint32_t slot, const Values& values) {
@@ -299,7 +299,7 @@ TEST(StormSpoutHost, EmitsAndIsWoken) {
     spout = made.get();
     return made;
   };
-  SpoutHost host(described(), spec, java.buffer(), java);
+  SpoutHost host(described(), Component{spec}, java.buffer(), java);
   java.apply(host.open());
   for (int i = 0; i < 3; ++i) java.apply(host.next_tuple());
   java.apply(host.ack(5));
@@ -311,7 +311,7 @@ TEST(StormSpoutHost, EmitsAndIsWoken) {
 
 TEST(StormTaskDescription, IsReadFromJson) {
   const auto task = TaskDescription::parse(R"({"folder": "/f", "file": "", "library": "l.so", "class": "C",
-    "conf": {"a": "1"}, "topology": "t", "component": "b", "task": 4, "tasks": {"a": [1], "b": [3, 4]},
+    "conf": {"a": "1"}, "topology": "t", "component": "b", "task": 4, "tasks": {"a": [1], "b": [3, 4]}, "here": [4],
     "inputs": [{"component": "a", "stream": "s", "fields": ["x", "__born"], "key": ["x"]}],
     "outputs": [{"component": "b", "stream": "default", "fields": ["y"], "direct": true, "targets": [1]}]})");
   EXPECT_EQ(task.class_name, "C");

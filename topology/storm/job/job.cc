@@ -78,7 +78,7 @@ Job make_job(const std::string& file, const std::vector<std::string>& folders) {
     job.name = definition.name.str();
     job.nimbus = definition.storm.nimbus;
     job.conf = storm_conf(definition);
-    job.topology = to_storm(topology);
+    job.topology = to_storm(definition, topology);
   });
   return job;
 }

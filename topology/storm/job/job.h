@@ -25,7 +25,7 @@ struct Job {
 Job make_job(const std::string& file, const std::vector<std::string>& folders);
 
 /// The graph as a StormTopology, in Thrift's binary protocol.
-std::string to_storm(const Topology& topology);
+std::string to_storm(const TopologyDefinition& definition, const Topology& topology);
 /// Storm's configuration of the topology, JSON.
 std::string storm_conf(const TopologyDefinition& definition);
 

@@ -54,13 +54,25 @@ void check_name(Check& check) {
                                "write \"-\", for example");
 }
 
+/// Endpoints need a registry and brokers that all workers reach.
 void check_endpoints(Check& check) {
-  for (const auto* group : {&check.definition.spouts, &check.definition.bolts}) {
-    for (const auto& component : *group) {
-      if (!component.endpoint) continue;
-      component.section.refuse("broker", "a component that faces a broker does not run on Storm",
-                               "run the topology with iotcloud-topology, or let a class of a library read and send");
-    }
+  const auto faces_broker = [](const ComponentDefinition& component) { return component.endpoint.has_value(); };
+  const auto& definition = check.definition;
+  if (std::none_of(definition.spouts.begin(), definition.spouts.end(), faces_broker) &&
+      std::none_of(definition.bolts.begin(), definition.bolts.end(), faces_broker)) {
+    return;
+  }
+  const std::string problem = "an embedded one is in one process only, and Storm has several";
+  if (definition.registry.url.empty()) {
+    definition.root.refuse("zk.servers", "the spouts and bolts that face brokers find the drivers in a registry",
+                           "name ZooKeeper's servers: \"zk.servers: [host:2181]\"");
+  } else if (definition.registry.url.starts_with("embedded:")) {
+    definition.root.refuse("registry", problem, "name a ZooKeeper: \"zk.servers: [host:2181]\"");
+  }
+  for (const auto& [name, broker] : definition.brokers) {
+    const auto is_embedded = [](const std::string& url) { return url.starts_with("embedded:"); };
+    if (std::any_of(broker.urls.begin(), broker.urls.end(), is_embedded))
+      YamlSection(definition.root).require_section("brokers").refuse(name, problem, "name a broker's server");
   }
 }
 

@@ -40,13 +40,24 @@ idl::JavaObject object(const std::string& name, std::vector<idl::JavaObjectArg> 
   return made;
 }
 
-/// The streams, as component and name, whose tuples say when they were born: those on the way to a deadline.
-std::set<std::pair<std::string, std::string>> streams_with_births(const Topology& topology) {
+/// Bolts that send to brokers, whose fence compares a tuple's birth with the last standstill of their process.
+std::set<std::string> sending_bolts(const TopologyDefinition& definition) {
+  std::set<std::string> bolts;
+  for (const auto& bolt : definition.bolts) {
+    if (bolt.endpoint) bolts.insert(bolt.id);
+  }
+  return bolts;
+}
+
+/// The streams, as component and name, whose tuples say when they were born: those on the way to a deadline or a fence.
+std::set<std::pair<std::string, std::string>> streams_with_births(const TopologyDefinition& definition,
+                                                                  const Topology& topology) {
+  const std::set<std::string> fenced = sending_bolts(definition);
   std::set<std::string> from;  // the components that need births to pass them on
   std::set<std::pair<std::string, std::string>> streams;
   for (auto component = topology.components.rbegin(); component != topology.components.rend(); ++component) {
     for (const InputSpec& input : component->inputs) {
-      const bool own = component->deadline.count() > 0 || input.deadline.count() > 0;
+      const bool own = component->deadline.count() > 0 || input.deadline.count() > 0 || fenced.contains(component->id);
       if (!own && !from.contains(component->id)) continue;
       streams.emplace(input.from, input.stream);
       from.insert(input.from);
@@ -126,8 +137,8 @@ bool GlobalStreamId::operator<(const GlobalStreamId& other) const {
 }
 }  // namespace idl
 
-std::string to_storm(const Topology& topology) {
-  const auto births = streams_with_births(topology);
+std::string to_storm(const TopologyDefinition& definition, const Topology& topology) {
+  const auto births = streams_with_births(definition, topology);
   idl::StormTopology storm;
   for (const ComponentSpec& component : topology.components) {
     idl::ComponentObject made;

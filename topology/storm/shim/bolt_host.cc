@@ -31,9 +31,9 @@ std::chrono::microseconds shorter(std::chrono::microseconds a, std::chrono::micr
 
 }  // namespace
 
-BoltHost::BoltHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink,
+BoltHost::BoltHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink,
                    AnswerQueue& queue)
-    : TaskHost(task, std::move(spec), buffer, sink), queue_(queue) {
+    : TaskHost(task, std::move(component), buffer, sink), queue_(queue) {
   for (const TaskDescription::Input& input : task_.inputs) {
     streams_.push_back({input.component, input.stream, input.fields});
     const auto same = [&](const InputSpec& given) {
@@ -48,16 +48,12 @@ BoltHost::BoltHost(const TaskDescription& task, ComponentSpec spec, std::span<st
 
 BoltHost::~BoltHost() = default;
 
-std::size_t BoltHost::open() {
-  const OwnCall own(*this);
+void BoltHost::open_component() {
   bolt_->prepare(spec_.config, context_, *this);
-  return commands_.take();
 }
 
-std::size_t BoltHost::close() {
-  const OwnCall own(*this);
-  guarded("cleanup()", [this] { bolt_->cleanup(); });
-  return commands_.take();
+void BoltHost::close_component() {
+  bolt_->cleanup();
 }
 
 std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_task,

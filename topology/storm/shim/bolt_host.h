@@ -19,12 +19,10 @@ namespace iotcloud::topology::storm {
 class BoltHost final : public TaskHost, private OutputCollector {
  public:
   /// \param queue lives as long.
-  BoltHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink,
+  BoltHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink,
            AnswerQueue& queue);
   ~BoltHost() override;
 
-  std::size_t open() override;
-  std::size_t close() override;
   /// Executes a tuple. \param slot the tuple's for Java. \param input the number of its stream among the task's
   /// inputs. \param values as in value_format.h
   std::size_t execute(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values);
@@ -35,6 +33,8 @@ class BoltHost final : public TaskHost, private OutputCollector {
   std::chrono::microseconds own_tick_period() const;
 
  private:
+  void open_component() override;
+  void close_component() override;
   enum class Answer : std::uint8_t { ack, fail, reset, forget };
   struct Received;
 

@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <filesystem>
 #include <map>
+#include <set>
+#include <utility>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/mutex.h>
@@ -14,22 +16,20 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A task's endpoint cannot be made: `iotcloud-storm` refuses such a topology.
-EndpointFactories no_endpoints() {
-  const auto refuse = [](const ComponentDefinition& component) -> config::Error {
-    return config::Error(component.id + " faces a broker, which does not run on Storm");
-  };
-  return {.spout = [=](const ComponentDefinition& spout) -> SpoutFactory { throw refuse(spout); },
-          .bolt = [=](const ComponentDefinition& bolt) -> BoltFactory { throw refuse(bolt); }};
-}
+/// A topology's file as this process has read it.
+struct ReadFile {
+  Topology topology;
+  std::set<std::string> endpoints;  ///< the components that face brokers
+  std::unique_ptr<EndpointProcess> process;
+};
 
 /// What this process has read so far. It keeps it to its end, because tasks use it.
 class Sources {
  public:
-  const Topology& topology_of(const std::string& file) {
+  const ReadFile& read(const std::string& file) {
     const config::MutexLock lock(mutex_);
-    const auto known = topologies_.find(file);
-    return known != topologies_.end() ? known->second : topologies_.emplace(file, load(file)).first->second;
+    const auto known = files_.find(file);
+    return known != files_.end() ? known->second : files_.emplace(file, load(file)).first->second;
   }
   const ComponentRegistry& registry_of(const std::string& library) {
     const config::MutexLock lock(mutex_);
@@ -47,17 +47,26 @@ class Sources {
 
  private:
   /// The libraries lie beside the file, wherever they were when it was packed.
-  static Topology load(const std::string& file) {
+  static ReadFile load(const std::string& file) {
     const TopologyDefinition definition = TopologyDefinition::load(file);
     ComponentRegistry components;
     for (const auto& library : definition.libraries) {
       load_components(fs::path(file).parent_path() / fs::path(library).filename(), components);
     }
-    return assemble(definition, components, no_endpoints());
+    ReadFile read;
+    read.process = std::make_unique<EndpointProcess>(definition);
+    read.topology = assemble(definition, components, read.process->factories());
+    read.process->complete(read.topology);
+    for (const auto* group : {&definition.spouts, &definition.bolts}) {
+      for (const auto& component : *group) {
+        if (component.endpoint) read.endpoints.insert(component.id);
+      }
+    }
+    return read;
   }
 
   config::Mutex mutex_;
-  std::map<std::string, Topology> topologies_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::map<std::string, ReadFile> files_ IOTCLOUD_GUARDED_BY(mutex_);
   std::map<std::string, ComponentRegistry> libraries_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
@@ -75,14 +84,14 @@ const ComponentSpec& find(const Topology& topology, const std::string& id, const
 
 }  // namespace
 
-ComponentSpec component_of(const TaskDescription& task) {
+Component component_of(const TaskDescription& task) {
   const fs::path folder = task.folder;
   if (!task.file.empty()) {
     const std::string file = folder / task.file;
-    const Topology& topology = sources().topology_of(file);
-    ComponentSpec spec = find(topology, task.component, file);
-    spec.config.insert(topology.config.begin(), topology.config.end());
-    return spec;
+    const ReadFile& read = sources().read(file);
+    ComponentSpec spec = find(read.topology, task.component, file);
+    spec.config.insert(read.topology.config.begin(), read.topology.config.end());
+    return {std::move(spec), read.endpoints.contains(task.component) ? read.process.get() : nullptr};
   }
   const std::string library = folder / task.library;
   const ComponentRegistry& registry = sources().registry_of(library);
@@ -93,11 +102,11 @@ ComponentSpec component_of(const TaskDescription& task) {
   if (const BoltFactory* bolt = registry.bolt(task.class_name)) spec.bolt = *bolt;
   if (!spec.spout && !spec.bolt) throw config::Error(library + " registers no class \"" + task.class_name + "\"");
   if (spec.bolt) spec.tick = spec.bolt()->tick_period(spec.config);
-  return spec;
+  return {std::move(spec), nullptr};
 }
 
 std::unique_ptr<Grouping> grouping_of(const std::string& file, const std::string& bolt, std::size_t input) {
-  const ComponentSpec& spec = find(sources().topology_of(file), bolt, file);
+  const ComponentSpec& spec = find(sources().read(file).topology, bolt, file);
   if (input >= spec.inputs.size() || !spec.inputs[input].factory) {
     throw config::Error(file + ": bolt \"" + bolt + "\" has no grouping for its input " + std::to_string(input));
   }

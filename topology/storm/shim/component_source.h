@@ -4,6 +4,7 @@
 #include <string>
 
 #include <iotcloud/topology/grouping.h>
+#include <iotcloud/topology/storm/shim/endpoint_process.h>
 #include <iotcloud/topology/storm/shim/task_description.h>
 #include <iotcloud/topology/topology_builder.h>
 
@@ -12,10 +13,15 @@ namespace iotcloud::topology::storm {
 /// The name of a topology's file in the jar.
 inline constexpr const char* topology_file = "topology.yaml";
 
+/// A task's component.
+struct Component {
+  ComponentSpec spec;                    ///< its `config` is complete
+  EndpointProcess* endpoints = nullptr;  ///< if it faces a broker; lives until the process ends
+};
+
 /// The component of a task: of the topology's file, which is read once in a process, or of a component library alone.
-/// Its `config` is complete. Thread safe. \throws config::Error for a file or library that cannot be used, and for a
-/// component that is not in it.
-ComponentSpec component_of(const TaskDescription& task);
+/// Thread safe. \throws config::Error for a file or library that cannot be used, and for a component that is not in it.
+Component component_of(const TaskDescription& task);
 
 /// A custom grouping of the topology's file, made anew. \param input the number of the bolt's input. \throws
 /// config::Error as component_of().

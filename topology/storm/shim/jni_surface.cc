@@ -185,7 +185,7 @@ JNIEXPORT jlong JNICALL Java_iotcloud_storm_Native_makeTask(JNIEnv* env, jclass,
     const auto described = TaskDescription::parse(text_of(env, description));
     auto component = component_of(described);
     auto task = std::make_unique<Task>(env, java);
-    if (component.spout) {
+    if (component.spec.spout) {
       task->spout = std::make_unique<SpoutHost>(described, std::move(component), buffer_of(env, output), task->sink);
     } else {
       task->bolt =

@@ -17,16 +17,18 @@ class ExecutorWaker final : public SpoutWaker::Target {
 
 }  // namespace
 
-SpoutHost::SpoutHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink)
-    : TaskHost(task, std::move(spec), buffer, sink), waker_(std::make_shared<ExecutorWaker>(sink)) {
+SpoutHost::SpoutHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink)
+    : TaskHost(task, std::move(component), buffer, sink), waker_(std::make_shared<ExecutorWaker>(sink)) {
   context_.waker = SpoutWaker(waker_);
   spout_ = spec_.spout();
 }
 
-std::size_t SpoutHost::open() {
-  const OwnCall own(*this);
+void SpoutHost::open_component() {
   spout_->open(spec_.config, context_, *this);
-  return commands_.take();
+}
+
+void SpoutHost::close_component() {
+  spout_->close();
 }
 
 template <typename Call>
@@ -36,9 +38,6 @@ std::size_t SpoutHost::run(std::string_view what, Call&& call) {
   return commands_.take();
 }
 
-std::size_t SpoutHost::close() {
-  return run("close()", [this] { spout_->close(); });
-}
 std::size_t SpoutHost::activate() {
   return run("activate()", [this] { spout_->activate(); });
 }

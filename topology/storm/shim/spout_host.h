@@ -12,10 +12,8 @@ namespace iotcloud::topology::storm {
 /// A spout's task. Its component's SpoutWaker wakes Storm's executor.
 class SpoutHost final : public TaskHost, private SpoutOutputCollector {
  public:
-  SpoutHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink);
+  SpoutHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink);
 
-  std::size_t open() override;
-  std::size_t close() override;
   std::size_t activate();
   std::size_t deactivate();
   std::size_t next_tuple();
@@ -23,6 +21,8 @@ class SpoutHost final : public TaskHost, private SpoutOutputCollector {
   std::size_t fail(MessageId id);
 
  private:
+  void open_component() override;
+  void close_component() override;
   template <typename Call>
   std::size_t run(std::string_view what, Call&& call);
   void do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) override;

@@ -34,6 +34,7 @@ TaskDescription read(const Json& json) {
   task.component = json.at("component");
   task.task = json.at("task");
   json.at("tasks").get_to(task.tasks);
+  json.at("here").get_to(task.here);
   for (const Json& each : json.at("inputs")) {
     read_stream(each, task.inputs.emplace_back());
     task.inputs.back().key = Fields(each.at("key").get<std::vector<std::string>>());

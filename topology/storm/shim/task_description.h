@@ -49,6 +49,7 @@ struct TaskDescription {
   std::string component;
   int task = 0;
   std::map<std::string, std::vector<int>> tasks;  ///< of every component, ascending
+  std::vector<int> here;                          ///< the tasks of this component that run in this process, ascending
   std::vector<Input> inputs;
   std::vector<Output> outputs;
 

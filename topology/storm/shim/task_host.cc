@@ -33,15 +33,36 @@ bool TaskHost::OwnCall::is_of(const TaskHost& host) {
   return calling == &host;
 }
 
-TaskHost::TaskHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink)
+TaskHost::TaskHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink)
     : clock_(config::system_clock()),
       task_(task),
-      spec_(std::move(spec)),
+      spec_(std::move(component.spec)),
+      endpoints_(component.endpoints),
       context_(task.context()),
       commands_(buffer, sink) {
   context_.clock = &clock_;
   context_.metrics = &config::process_metrics();
   context_.troubles = &troubles();
+  if (endpoints_ == nullptr) return;
+  // Endpoints share the work out among the tasks of one process, and the processes among each other.
+  const auto own = std::find(task_.here.begin(), task_.here.end(), task_.task);
+  context_.task_index = static_cast<int>(own - task_.here.begin());
+  context_.task_count = static_cast<int>(task_.here.size());
+}
+
+std::size_t TaskHost::open() {
+  const OwnCall own(*this);
+  if (endpoints_ != nullptr) endpoints_->begin();
+  open_component();
+  return commands_.take();
+}
+
+std::size_t TaskHost::close() {
+  const OwnCall own(*this);
+  if (endpoints_ != nullptr) endpoints_->prepare_end();
+  guarded("its end", [this] { close_component(); });
+  if (endpoints_ != nullptr) endpoints_->end();
+  return commands_.take();
 }
 
 std::uint16_t TaskHost::checked_stream(std::string_view name, const Values& values, int task) const {

@@ -8,6 +8,7 @@
 #include <iotcloud/config/clock.h>
 #include <iotcloud/topology/output_collector.h>
 #include <iotcloud/topology/storm/shim/command_writer.h>
+#include <iotcloud/topology/storm/shim/component_source.h>
 #include <iotcloud/topology/storm/shim/task_description.h>
 #include <iotcloud/topology/topology_builder.h>
 
@@ -19,17 +20,21 @@ namespace iotcloud::topology::storm {
 class TaskHost {
  public:
   /// \param sink lives as long.
-  TaskHost(const TaskDescription& task, ComponentSpec spec, std::span<std::byte> buffer, CommandSink& sink);
+  TaskHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink);
   virtual ~TaskHost() = default;
   TaskHost(const TaskHost&) = delete;
   TaskHost& operator=(const TaskHost&) = delete;
 
   /// Opens or prepares the component. \throws what it throws. \return as every call that may leave commands: their
   /// size in the buffer.
-  virtual std::size_t open() = 0;
-  virtual std::size_t close() = 0;
+  std::size_t open();
+  std::size_t close();
 
  protected:
+  /// Calls the component itself. \throws what it throws
+  virtual void open_component() = 0;
+  virtual void close_component() = 0;
+
   /// Marks the calls that Java makes into this host, in whose course its component may emit.
   class OwnCall {
    public:
@@ -70,6 +75,7 @@ class TaskHost {
   const config::Clock& clock_;
   const TaskDescription task_;
   const ComponentSpec spec_;
+  EndpointProcess* const endpoints_;  ///< null: the component faces no broker
   TopologyContext context_;
   CommandWriter commands_;
 

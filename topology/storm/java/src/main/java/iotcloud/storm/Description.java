@@ -111,6 +111,13 @@ final class Description {
     return tasks;
   }
 
+  private static List<Integer> here(WorkerTopologyContext context, String component) {
+    List<Integer> tasks = new ArrayList<>(context.getComponentTasks(component));
+    tasks.retainAll(context.getThisWorkerTasks());
+    Collections.sort(tasks);
+    return tasks;
+  }
+
   private static String json(Origin origin, String topology, WorkerTopologyContext context, String component, int task,
       Collection<Object> inputs, Collection<Object> outputs) {
     Map<String, Object> all = new LinkedHashMap<>();
@@ -123,6 +130,7 @@ final class Description {
     all.put("component", component);
     all.put("task", task);
     all.put("tasks", tasks(context));
+    all.put("here", here(context, component));
     all.put("inputs", inputs);
     all.put("outputs", outputs);
     return JSONValue.toJSONString(all);

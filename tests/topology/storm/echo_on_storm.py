@@ -1,0 +1,94 @@
+#!/usr/bin/python3
+"""Spouts and bolts that face brokers, on a private Storm: load generators on a private RabbitMQ get back all that they
+send, through two workers with four spout tasks; a driver that comes later is read, too; messages are counted while a
+worker is killed.
+
+usage: echo_on_storm.py BUILD     (build/release)
+"""
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT / "tests" / "servers"))
+import private_server  # noqa: E402
+import storm_jar  # noqa: E402
+from private_cluster import PrivateCluster, echo_topology, require, result_of, wait_for  # noqa: E402
+from storm import Storm  # noqa: E402
+
+SKIPPED = 77
+DRIVERS = 12
+COUNT = 1500
+RATE = 50
+MORE = """runtime: {max_spout_pending: 200, message_timeout: 20s}
+engine: {storm: {workers: 2, spout_wait: 5ms, bolt_wait: 5ms, back_pressure_wait: 5ms}}"""
+
+
+def storm_program(build, storm, *words):
+    done = subprocess.run([build / "bin" / "iotcloud-storm", *map(str, words), "--nimbus", storm.url()], text=True,
+                          capture_output=True, check=False)
+    require(done.returncode == 0, "iotcloud-storm %s: %s" % (" ".join(map(str, words)), done.stderr))
+    return done.stdout
+
+
+def lines_about_units(storm):
+    """What the workers' logs say of units of channels that were taken or given up."""
+    logs = (Path(storm.folder) / "logs" / "workers-artifacts").rglob("worker.log")
+    return [line for log in logs for line in log.read_text(errors="replace").splitlines()
+            if "receive: units taken" in line]
+
+
+def deploy(cluster, folder, first, count):
+    reports = [folder / ("report-%d.json" % number) for number in range(first, first + count)]
+    for report in reports:
+        cluster.deploy("loadgen.so", "gateway-1", {"size": 200, "rate": RATE, "count": COUNT, "report": report})
+    return reports
+
+
+def run(build, folder):
+    storm = Storm(folder / "storm")
+    try:
+        with PrivateCluster(folder / "cluster", build / "bin", build / "plugins") as cluster:
+            cluster.start(gateways=1)
+            storm.start()
+            cluster.wait_until_ready()
+            file = folder / "echo.yaml"
+            servers = cluster.zookeeper.removeprefix("zookeeper://")
+            file.write_text(echo_topology(4, 2, MORE).replace("{zookeeper}", servers))
+            print(storm_program(build, storm, "submit", file), end="")
+            reports = deploy(cluster, folder, 0, DRIVERS)
+            wait_for("both workers read", lambda: len(lines_about_units(storm)) >= 2)
+            late = deploy(cluster, folder, DRIVERS, 1)
+            workers = storm.running_workers()
+            require(len(workers) == 2, "two workers run: %s" % workers)
+            os.kill(next(iter(workers.values())), signal.SIGKILL)
+            read = len(lines_about_units(storm))
+            wait_for("the worker that was started again reads", lambda: len(storm.running_workers()) == 2 and
+                     len(lines_about_units(storm)) > read + 1)
+            wait_for("all reports", lambda: all(result_of(report) for report in reports + late), 180)
+            results = [result_of(report) for report in reports + late]
+            total = {key: sum(result[key] for result in results) for key in ("sent", "received", "lost", "duplicated", "damaged")}
+            print(total)
+            require(total["sent"] == total["received"] == COUNT * (DRIVERS + 1), "nothing is lost: %s" % total)
+            require(total["lost"] == total["damaged"] == 0, "nothing is lost or damaged: %s" % total)
+            storm_program(build, storm, "kill", "echo", "--wait", "1")
+    finally:
+        storm.stop()
+
+
+def main():
+    try:
+        storm_jar.build()
+        with tempfile.TemporaryDirectory(prefix="iotcloud-storm-") as folder:
+            run(Path(sys.argv[1]).resolve(), Path(folder))
+    except private_server.Unavailable as reason:
+        print(reason)
+        return 1 if os.environ.get("CI") == "true" else SKIPPED
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
