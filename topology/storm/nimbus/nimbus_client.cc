@@ -239,13 +239,18 @@ std::optional<TopologyDetails> NimbusClient::details(const std::string& name) {
   const auto all = topologies();
   const auto found = std::find_if(all.begin(), all.end(), [&](const auto& one) { return one.name == name; });
   if (found == all.end()) return std::nullopt;
-  const auto info = impl_->ask([&](Client& client) {
+  const auto info = impl_->ask([&](Client& client) -> std::optional<idl::TopologyInfo> {
     idl::TopologyInfo answer;
-    client.getTopologyInfoByName(answer, name);
+    try {
+      client.getTopologyInfoByName(answer, name);
+    } catch (const idl::NotAliveException&) {
+      return std::nullopt;  // it ended since it was listed
+    }
     return answer;
   });
-  TopologyDetails details{*found, {}, errors_of(info.errors)};
-  for (const auto& executor : info.executors) {
+  if (!info) return std::nullopt;
+  TopologyDetails details{*found, {}, errors_of(info->errors)};
+  for (const auto& executor : info->executors) {
     if (is_own(executor.component_id)) continue;
     details.executors.push_back({executor.component_id, executor.executor_info.task_start,
                                  executor.executor_info.task_end, executor.host, executor.port, executor.uptime_secs,
