@@ -423,9 +423,11 @@ TEST_F(DaemonTest, WhatAGatewayWasAboutToDoWhenItWasKilledStandsInItsAuditLog) {
 
   start_daemon();
   ASSERT_TRUE(eventually([&] { return alive_session() != 0 && alive_session() != session; }));
-  EXPECT_EQ(deploy_at(port), DriverState::active);
-  EXPECT_EQ(count(R"("event":"begun")"), 2U);
-  EXPECT_TRUE(eventually([&] { return count(R"("event":"ended")") == 1; })) << "that of the second one";
+  // The gateway refuses orders until it has taken its id over.
+  EXPECT_TRUE(eventually([&] { return deploy_at(port) == DriverState::active; }));
+  EXPECT_GE(count(R"("event":"ended")"), 1U);
+  EXPECT_TRUE(eventually([&] { return count(R"("event":"begun")") == count(R"("event":"ended")") + 1; }))
+      << "all but the first one ended";
   EXPECT_TRUE(security::verify_audit({log}, {}).findings.empty()) << "the chain goes on over the gateway's death";
 }
 
