@@ -18,7 +18,6 @@ namespace {
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
-using testing::MatchesRegex;
 
 /// The Java side of a task: its buffer, and the commands that it applied, as texts.
 class Java final : public CommandSink {
@@ -122,7 +121,7 @@ struct Calls final : Bolt {
 
 /// A bolt's host with its Java.
 struct BoltTask {
-  explicit BoltTask(Calls::Call call, const TaskDescription& task = described(),
+  explicit BoltTask(const Calls::Call& call, const TaskDescription& task = described(),
                     const std::function<void(ComponentSpec&)>& change = {}, std::size_t buffer = 1024)
       : java(buffer) {
     ComponentSpec spec;

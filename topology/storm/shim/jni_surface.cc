@@ -122,8 +122,14 @@ struct Task {
   TaskHost& host() const { return spout ? static_cast<TaskHost&>(*spout) : static_cast<TaskHost&>(*bolt); }
 };
 
+/// The object whose address Java keeps as a number.
+template <typename Object>
+Object& object_at(jlong handle) {
+  return *reinterpret_cast<Object*>(handle);  // NOLINT(performance-no-int-to-ptr): JNI has no other way
+}
+
 Task& task_at(jlong handle) {
-  return *reinterpret_cast<Task*>(handle);
+  return object_at<Task>(handle);
 }
 
 struct GroupingTask {
@@ -271,7 +277,7 @@ JNIEXPORT jlong JNICALL Java_iotcloud_storm_Native_makeGrouping(JNIEnv* env, jcl
 
 JNIEXPORT void JNICALL Java_iotcloud_storm_Native_setGroupingBuffers(JNIEnv* env, jclass, jlong handle, jobject input,
                                                                      jobject chosen) {
-  auto& grouping = *reinterpret_cast<GroupingTask*>(handle);
+  auto& grouping = object_at<GroupingTask>(handle);
   grouping.input = buffer_of(env, input);
   const auto bytes = buffer_of(env, chosen);
   grouping.chosen = {reinterpret_cast<std::int32_t*>(bytes.data()), bytes.size() / sizeof(std::int32_t)};
@@ -279,7 +285,7 @@ JNIEXPORT void JNICALL Java_iotcloud_storm_Native_setGroupingBuffers(JNIEnv* env
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_choose(JNIEnv* env, jclass, jlong handle, jint size) {
   return guarded(env, [&] {
-    auto& grouping = *reinterpret_cast<GroupingTask*>(handle);
+    auto& grouping = object_at<GroupingTask>(handle);
     return static_cast<jint>(
         grouping.host->choose(grouping.input.first(static_cast<std::size_t>(size)), grouping.chosen));
   });
