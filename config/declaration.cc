@@ -134,6 +134,7 @@ const DeclaredProperty* find(const std::vector<DeclaredProperty>& properties, co
 
 std::string unknown_text(const std::string& name, const std::vector<DeclaredProperty>& declared) {
   std::vector<std::string> names;
+  names.reserve(declared.size());
   for (const auto& property : declared) names.push_back(property.name);
   const std::size_t own = names.size();
   names.insert(names.end(), host_properties().begin(), host_properties().end());

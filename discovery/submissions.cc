@@ -16,6 +16,7 @@ template <typename Use>
 void for_each_node(Registry& registry, const std::string& parent, const std::string& below, const Use& use) {
   const auto names = registry.children(parent).value_or(std::vector<std::string>());
   std::vector<std::string> paths;
+  paths.reserve(names.size());
   for (const std::string& name : names) paths.push_back(child_of(parent, name) + below);
   const auto nodes = registry.get_all(paths);
   for (std::size_t i = 0; i < names.size(); ++i) {

@@ -152,6 +152,7 @@ struct PlaceHolder {
 struct PlaceId {
   TopologyName topology;
   int number = 0;
+  // clang-tidy 14 takes the zero that it compares with for a pointer: NOLINTNEXTLINE(modernize-use-nullptr)
   friend auto operator<=>(const PlaceId&, const PlaceId&) = default;
   friend bool operator==(const PlaceId&, const PlaceId&) = default;
 };

@@ -542,7 +542,7 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
 /// older one's is gone. \throws discovery::RegistryError
 bool OrderFeed::leads_now(std::int64_t epoch) const {
   auto standing = registry_.children(paths_.masters()).value_or(std::vector<std::string>());
-  for (auto& name : standing) name = paths_.masters() + "/" + name;
+  for (auto& name : standing) name.insert(0, paths_.masters() + "/");
   const auto nodes = registry_.get_all(standing);
   return std::any_of(nodes.begin(), nodes.end(), [&](const auto& node) { return node && node->created == epoch; });
 }

@@ -65,7 +65,8 @@ struct SiteService::Impl {
   std::optional<rpc::ThriftServer> server;  ///< last, because it uses the other members
 };
 
-SiteService::SiteService(Options options, Gateway& gateway, discovery::Registry& registry, discovery::Paths paths) {
+SiteService::SiteService(const Options& options, Gateway& gateway, discovery::Registry& registry,
+                         discovery::Paths paths) {
   if (const auto problem = rpc::exposure(options.listen); !problem.empty()) throw config::Error(problem);
   impl_ = std::make_unique<Impl>(options, gateway, registry, std::move(paths));
   rpc::ThriftServerOptions serving;

@@ -30,7 +30,7 @@ class SiteService {
 
   /// Serves from construction on. The gateway and the registry outlive it. \throws config::Error if it cannot listen,
   /// or if other machines could give orders without TLS and tokens.
-  SiteService(Options options, Gateway& gateway, discovery::Registry& registry, discovery::Paths paths);
+  SiteService(const Options& options, Gateway& gateway, discovery::Registry& registry, discovery::Paths paths);
   /// Takes no new calls and waits for the running ones.
   ~SiteService();
   int port() const;

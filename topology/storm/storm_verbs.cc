@@ -130,7 +130,7 @@ TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name
   const auto end = std::chrono::steady_clock::now() + limit;
   auto all_reported = std::chrono::steady_clock::time_point::max();
   while (true) {
-    const TopologyDetails details = details_of(nimbus, name);
+    TopologyDetails details = details_of(nimbus, name);
     if (!details.errors.empty()) {
       const ReportedError& first = details.errors.back();
       throw NimbusError(
