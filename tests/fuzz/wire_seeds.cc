@@ -8,7 +8,6 @@
 #include "iotcloud/processes/starter_protocol.h"
 #include "iotcloud/security/audit_chain.h"
 #include "iotcloud/tests/fuzz/seeds.h"
-#include "iotcloud/topology/tuple_codec.h"
 
 namespace iotcloud::fuzz {
 
@@ -83,35 +82,6 @@ SeedsOfTarget starter_protocol() {
                            encode(StarterAnswer{StarterAnswer::Kind::killed, 0, {}})}};
 }
 
-std::string encoded(const topology::TupleRecord& record) {
-  std::vector<std::byte> bytes;
-  topology::encode_tuple(record, bytes);
-  return {reinterpret_cast<const char*>(bytes.data()), bytes.size()};
-}
-
-SeedsOfTarget tuples() {
-  topology::TupleRecord record;
-  record.component = "decode";
-  record.source_task = 2;
-  record.ids = {1, 2};
-  record.values = topology::Values(std::int64_t{-5}, 0.5, std::string("robot"), true);
-  topology::TupleRecord large;
-  large.component = std::string(200, 'c');
-  large.stream = "late";
-  large.ids.assign(300, ~std::uint64_t{0});
-  large.values = topology::Values(std::numeric_limits<std::int64_t>::min(), std::numeric_limits<double>::quiet_NaN(),
-                                  topology::Payload::copy(std::string(300, '\xff')), false);
-  const std::string values = encoded(record);
-  std::string other_version = values;
-  other_version[1] = 2;
-  return {{"values", values},
-          {"empty", encoded({})},
-          {"large", encoded(large)},
-          {"cut", values.substr(0, values.size() - 3)},
-          {"other_version", other_version},
-          {"long_number", std::string("\xc7\x01\x80\x80\x80\x80\x80\x80\x80\x80\x80\x80\x01", 13)}};
-}
-
 /// The first byte chooses whether the target signs the rest (signed_orders_fuzzer.cc), the second what it changes then.
 SeedsOfTarget signed_orders() {
   discovery::OrderRecord order;
@@ -180,7 +150,6 @@ void add_wire_seeds(Seeds& seeds) {
   seeds["kafka_headers"]["others"] = header("traceparent", "00-1") + header("", "") + std::string("\x01n\xff", 3);
   seeds["signed_orders"] = signed_orders();
   seeds["json_payload"] = json_payloads();
-  seeds["tuple"] = tuples();
   seeds["http"] = {
       {"page", "GET /page?a=1&b=%20x+y&c HTTP/1.1\r\nHost: lab1\r\n\r\n"},
       {"two", "GET /page HTTP/1.1\r\nHost: lab1\r\n\r\nHEAD /page?%zz HTTP/1.0\r\n\r\n"},
