@@ -7,8 +7,6 @@ Central, and the original's records from its definition by Thrift's compiler.
 `./dev test` calls it while it builds, so that no test's time-out pays for the download.
 """
 
-import fcntl
-import hashlib
 import shutil
 import subprocess
 import sys
@@ -18,33 +16,26 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from maven_jars import UNREACHABLE  # noqa: E402
-from private_server import Unavailable, become_child  # noqa: E402
+from maven_build import build_once, package  # noqa: E402
+from private_server import Unavailable  # noqa: E402
 
 PROJECT = HERE / "java"
 DEFINITIONS = (ROOT / "tests/master/originals/original.thrift", HERE / "envelope.thrift")
 FOLDER = ROOT / "build" / "interop"
-LIMIT_S = 600
 
 
 def build():
     """Returns the class path. Raises Unavailable when Maven Central cannot be reached, RuntimeError when the build
     fails."""
-    digest = hashlib.sha256()
-    for file in sorted([PROJECT / "pom.xml", *DEFINITIONS, *(PROJECT / "src").rglob("*.java")]):
-        digest.update(file.name.encode() + b"\0" + file.read_bytes())
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    folder = FOLDER.resolve()
-    with open(folder.with_suffix(".lock"), "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        complete = folder / f"complete-{digest.hexdigest()}"
-        if not complete.exists():
-            shutil.rmtree(folder)
-            folder.mkdir()
-            generate(folder)
-            package(folder)
-            complete.touch()
-    return str(folder / "jars" / "*")
+    sources = [PROJECT / "pom.xml", *DEFINITIONS, *(PROJECT / "src").rglob("*.java")]
+    return str(build_once(sources, FOLDER, make) / "jars" / "*")
+
+
+def make(folder):
+    shutil.rmtree(folder)
+    folder.mkdir()
+    generate(folder)
+    package(PROJECT, "tests/interop/java", folder)
 
 
 def generate(folder):
@@ -54,24 +45,6 @@ def generate(folder):
         (folder / "generated").mkdir(exist_ok=True)
         subprocess.run(["thrift", "-gen", "java:generated_annotations=suppress", "-out", folder / "generated", copy],
                        check=True)
-
-
-def package(folder):
-    command = ["mvn", "-B", "-q", "-Dstyle.color=never", "-f", str(PROJECT / "pom.xml"), f"-Dfolder={folder}", "package"]
-    try:
-        done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                              text=True, timeout=LIMIT_S, preexec_fn=become_child)
-    except FileNotFoundError:
-        raise RuntimeError("mvn is missing; install Debian's packages maven and openjdk-17-jdk-headless") from None
-    except subprocess.TimeoutExpired:
-        raise Unavailable(f"Maven did not build tests/interop/java within {LIMIT_S} s") from None
-    if done.returncode == 0:
-        return
-    said = [line for line in done.stdout.splitlines() if "ERROR" in line] or done.stdout.splitlines() or ["nothing"]
-    text = f"Maven cannot build tests/interop/java: {said[0]}"
-    if any(sign in done.stdout for sign in UNREACHABLE):
-        raise Unavailable(text)
-    raise RuntimeError(f"{text}\n{done.stdout}")
 
 
 def main():
