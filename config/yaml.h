@@ -50,6 +50,17 @@ class YamlSection {
   void refuse(const std::string& key, const std::string& problem, const std::string& remedy = "") const;
   /// Notes (in all_errors()) or throws an error of error_within() or error().
   void refuse(const ConfigError& error) const;
+  /// Runs a check of the caller's, and refuses `key` with the Error that it throws; a ConfigError has its own key.
+  template <typename Check>
+  void check(const std::string& key, Check&& check) const {
+    try {
+      check();
+    } catch (const ConfigError& error) {
+      refuse(error);
+    } catch (const Error& error) {
+      refuse(key, error.what());
+    }
+  }
 
   bool has(const std::string& key) const;
 

@@ -15,26 +15,13 @@
 #include <iotcloud/gateway/fleet/plugin_folder.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/host/plugin.h>
-#include <iotcloud/processes/confinement_settings.h>
+#include <iotcloud/processes/process_settings.h>
 
 namespace iotcloud::gateway {
 
-using std::chrono::duration_cast;
 using std::chrono::milliseconds;
 
 namespace {
-
-/// Runs a check; reports its error as an error of this configuration key.
-template <typename Check>
-void checked(const config::YamlSection& section, const std::string& key, Check&& check) {
-  try {
-    check();
-  } catch (const config::ConfigError& e) {
-    section.refuse(e);
-  } catch (const config::Error& e) {
-    section.refuse(key, e.what());
-  }
-}
 
 std::vector<brokers::BrokerSetting> read_brokers(config::YamlSection& file, milliseconds session_timeout) {
   std::vector<brokers::BrokerSetting> brokers;
@@ -52,7 +39,7 @@ std::vector<brokers::BrokerSetting> read_brokers(config::YamlSection& file, mill
                      "use a broker that is a server, or local mode");
     }
     for (const std::string& url : broker.options.urls) {
-      checked(section, "urls", [&] {
+      section.check("urls", [&] {
         const std::string kind = brokers::broker_kind(url);
         if (kind == broker.type) return;
         throw section.error("urls",
@@ -73,7 +60,7 @@ void read_thrift(config::YamlSection& file, GatewayConfig& config) {
   auto section = file.optional_section("thrift");
   if (!section) return;
   rpc::read_listen_settings(*section, listen, 0);
-  if (!listen.tokens.empty()) checked(*section, "tokens", [&] { security::read_tokens(listen.tokens); });
+  if (!listen.tokens.empty()) section->check("tokens", [&] { security::read_tokens(listen.tokens); });
   section->finish();
   config.gateway.host = listen.host;
   config.gateway.port = listen.port;
@@ -106,37 +93,21 @@ void read_plugins(config::YamlSection& file, GatewayConfig& config) {
   if (!std::filesystem::is_directory(config.hosts.plugin_dir)) {
     file.refuse("plugins", "the folder \"" + config.hosts.plugin_dir + "\" is not there", "make it, or name another");
   } else {
-    checked(file, "plugins", [&] { check_plugin_folder(config.hosts.plugin_dir); });
+    file.check("plugins", [&] { check_plugin_folder(config.hosts.plugin_dir); });
   }
   constexpr std::int64_t usual_mb = 64, most_mb = 4096;
   config.plugin_upload_limit = file.int_or("plugins.upload_limit_mb", usual_mb, 1, most_mb) << 20;
-  security::TrustedKeys::Options trust;
-  trust.require_signature = file.bool_or("plugins.require_signature", false);
-  trust.trusted_keys = file.strings_or("plugins.trusted_keys", {});
+  config.trust = security::read_signers(file, "plugins");
   config.hosts.require_version = file.bool_or("plugins.require_version", false);
   config.hosts.allow_rollback = file.strings_or("plugins.allow_rollback", {});
-  checked(file, trust.trusted_keys.empty() ? "plugins.require_signature" : "plugins.trusted_keys",
-          [&] { config.trust = std::make_shared<security::TrustedKeys>(trust); });
   config.hosts.trust = config.trust;
 }
 
-void read_orders(config::YamlSection& file, GatewayConfig& config) {
-  security::TrustedKeys::Options masters;
-  masters.trusted_keys = file.strings_or("orders.trusted_keys", {});
-  if (masters.trusted_keys.empty()) return;
-  masters.require_signature = true;
-  checked(file, "orders.trusted_keys", [&] { config.order_keys = std::make_shared<security::TrustedKeys>(masters); });
-  config.gateway.order_keys = config.order_keys;
-}
-
 void read_hosts(config::YamlSection& file, GatewayConfig& config) {
-  const auto time = [](config::YamlSection& section, const std::string& key, milliseconds& value) {
-    value = duration_cast<milliseconds>(section.duration_or(key, value));
-  };
   auto& hosts = config.hosts;
-  time(file, "host_hang_limit", hosts.hang_limit);
-  time(file, "host_own_thread_hang_limit", hosts.own_thread_hang_limit);
-  time(file, "host_spin_limit", hosts.limits.spin);
+  processes::read_time(file, "host_hang_limit", hosts.hang_limit);
+  processes::read_time(file, "host_own_thread_hang_limit", hosts.own_thread_hang_limit);
+  processes::read_time(file, "host_spin_limit", hosts.limits.spin);
   constexpr std::int64_t most_mb = 1 << 20;
   hosts.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("host_memory_limit_mb", 0, 0, most_mb)) << 20;
   read_confinement(file, hosts);
@@ -147,20 +118,8 @@ void read_hosts(config::YamlSection& file, GatewayConfig& config) {
     if (!hosts.confinement.files) continue;
     for (const auto& [key, path] : brokers::files_of(broker.options)) hosts.confinement.files->read.push_back(path);
   }
-  if (auto log = file.optional_section("host_log")) {
-    constexpr int most_kept = 1000;
-    hosts.log_limit_mb = static_cast<int>(log->int_or("limit_mb", hosts.log_limit_mb, 1, most_mb));
-    hosts.logs_kept = static_cast<int>(log->int_or("kept", hosts.logs_kept, 0, most_kept));
-    log->finish();
-  }
-  auto restart = file.optional_section("host_restart");
-  if (!restart) return;
-  auto& policy = config.gateway.restart;
-  time(*restart, "first", policy.first);
-  time(*restart, "longest", policy.longest);
-  time(*restart, "healthy_after", policy.healthy_after);
-  policy.give_up_after = static_cast<int>(restart->int_or("give_up_after", policy.give_up_after, 0, 1'000'000));
-  restart->finish();
+  processes::read_log_limits(file, "host_", hosts.log_limit_mb, hosts.logs_kept);
+  processes::read_restarts(file, "host_", config.gateway.restart);
 }
 
 /// Where gateways share an exchange, each one's rights are the keys that begin with its id and a dot: those of a
@@ -186,7 +145,7 @@ void check_published_urls(config::YamlSection& file, const GatewayConfig& config
     const auto& urls = broker.options.urls;
     const auto found = std::find_if(urls.begin(), urls.end(), [&](const std::string& url) {
       brokers::BrokerUrl parts;
-      checked(file, "brokers", [&] { parts = brokers::parse_broker_url(url); });
+      file.check("brokers", [&] { parts = brokers::parse_broker_url(url); });
       return !parts.password.empty() && !config::is_loopback(parts.host);
     });
     if (found == urls.end()) continue;
@@ -202,7 +161,7 @@ GatewayConfig read_gateway(config::YamlSection& file) {
   GatewayConfig config;
   auto& gateway = config.gateway;
   gateway.id = discovery::GatewayId(file.require_string("id"));
-  checked(file, "id", [&] { check_name("gateway id", gateway.id); });
+  file.check("id", [&] { check_name("gateway id", gateway.id); });
   config.registry = discovery::read_registry_options(file);
   config.registry.url = file.require_string("registry");
   // A call that waits for the registry must not hold up the stop.
@@ -215,7 +174,7 @@ GatewayConfig read_gateway(config::YamlSection& file) {
   read_thrift(file, config);
   config.audit = security::read_audit(file);
   read_plugins(file, config);
-  read_orders(file, config);
+  gateway.order_keys = config.order_keys = security::read_trusted_masters(file);
   config.hosts.state_dir = file.require_string("state");
   read_hosts(file, config);
   config.pages = rpc::read_page_settings(file);

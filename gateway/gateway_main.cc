@@ -10,12 +10,11 @@
 #include <vector>
 
 #include <fmt/chrono.h>
-#include <fmt/format.h>
 #include <signal.h>
 #include <unistd.h>
 
 #include <iotcloud/config/daemon/daemon.h>
-#include <iotcloud/config/error.h>
+#include <iotcloud/config/daemon/reload.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/gateway_config.h>
 #include <iotcloud/gateway/logger.h>
@@ -83,24 +82,17 @@ class GatewayDaemon final : public config::DaemonService {
   }
 
   void reload() override {
-    std::vector<std::string> problems;
-    const auto attempt = [&problems](const auto& what) {
-      try {
-        what();
-      } catch (const std::exception& error) {
-        problems.emplace_back(error.what());
-      }
-    };
-    attempt([&] { config_.trust->reload(); });
+    config::Reload parts;
+    parts.part([&] { config_.trust->reload(); });
     if (config_.order_keys) {
-      attempt([&] {
+      parts.part([&] {
         config_.order_keys->reload();
         gateway_->reload();
       });
     }
-    attempt([&] { service_->reload(); });
-    if (metrics_) attempt([&] { metrics_->reload(); });
-    if (!problems.empty()) throw config::Error(fmt::format("{}", fmt::join(problems, "; ")));
+    parts.part([&] { service_->reload(); });
+    if (metrics_) parts.part([&] { metrics_->reload(); });
+    parts.finish();
   }
 
   void stop(std::chrono::milliseconds limit) override {

@@ -5,6 +5,7 @@
 
 #include <fmt/format.h>
 
+#include <iotcloud/config/daemon/reload.h>
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/config/log_settings.h>
@@ -54,16 +55,6 @@ rpc::ThriftServerOptions server_options(const char* name, const rpc::ListenSetti
   options.port = settings.port;
   options.tls = settings.tls;
   return options;
-}
-
-/// Runs a check, and reports its error as one of this key.
-template <typename Check>
-void check_key(const config::YamlSection& section, const std::string& key, Check&& check) {
-  try {
-    check();
-  } catch (const config::Error& e) {
-    section.refuse(key, e.what());
-  }
 }
 
 /// This master must be able to change its own orders. \throws config::Error if it does not trust its own key.
@@ -140,12 +131,13 @@ class MasterService final : public config::DaemonService {
   }
 
   void reload() override {
-    // The audit log comes first, so that an unreadable file below does not keep a log open that somebody has renamed.
-    if (audit_) audit_->reopen();
-    if (config_.order_keys) config_.order_keys->reload();
-    if (tokens_) tokens_->reload();
-    api_->reload();  // after the tokens: it closes connections whose token is gone
-    if (metrics_) metrics_->reload();
+    config::Reload parts;
+    if (audit_) parts.part([&] { audit_->reopen(); });
+    if (config_.order_keys) parts.part([&] { config_.order_keys->reload(); });
+    if (tokens_) parts.part([&] { tokens_->reload(); });
+    parts.part([&] { api_->reload(); });  // after the tokens: it closes connections whose token is gone
+    if (metrics_) parts.part([&] { metrics_->reload(); });
+    parts.finish();
   }
 
   void stop(milliseconds) override { end(); }
@@ -190,7 +182,7 @@ MasterDaemonConfig read_master(config::YamlSection& top) {
   config.sensors_root = top.string_or("zk.root", "/iot/sensors");
   if (auto api = top.optional_section("api")) {
     rpc::read_listen_settings(*api, config.api);
-    if (!config.api.tokens.empty()) check_key(*api, "tokens", [&] { security::read_tokens(config.api.tokens); });
+    if (!config.api.tokens.empty()) api->check("tokens", [&] { security::read_tokens(config.api.tokens); });
     config.gateway_token_file = api->string_or("gateway_token_file", "");
     const bool for_each = config.gateway_token_file.find("{gateway}") != std::string::npos;
     if (!config.gateway_token_file.empty() && !for_each && !std::filesystem::exists(config.gateway_token_file))
@@ -221,13 +213,12 @@ MasterDaemonConfig read_master(config::YamlSection& top) {
     config.record_for_lost_gateways =
         orders->choice_or("for_lost_gateways", "record", {"record", "refuse"}) == "record";
     config.signing_key = orders->string_or("signing_key", "");
-    if (!config.signing_key.empty())
-      check_key(*orders, "signing_key", [&] { security::ObjectSigner{config.signing_key}; });
+    if (!config.signing_key.empty()) orders->check("signing_key", [&] { security::ObjectSigner{config.signing_key}; });
     security::TrustedKeys::Options masters;
     masters.trusted_keys = orders->strings_or("trusted_keys", {});
     masters.require_signature = true;
     if (!masters.trusted_keys.empty())
-      check_key(*orders, "trusted_keys", [&] {
+      orders->check("trusted_keys", [&] {
         config.order_keys = std::make_shared<security::TrustedKeys>(masters);
         check_own_key(config);
       });

@@ -9,6 +9,7 @@
 #include <sys/stat.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/yaml.h>
 #include <iotcloud/security/logger.h>
 #include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/trusted_keys.h>
@@ -122,6 +123,24 @@ std::string TrustedKeys::admit(const std::string& what, std::string_view content
       fmt::format("{}: its signature is not one of these bytes by a key that is trusted here; either it was changed "
                   "after it was signed (sign it again), or trusted_keys lacks the signer's public key",
                   what));
+}
+
+std::shared_ptr<TrustedKeys> read_signers(config::YamlSection& file, const std::string& prefix) {
+  TrustedKeys::Options options;
+  options.require_signature = file.bool_or(prefix + ".require_signature", false);
+  options.trusted_keys = file.strings_or(prefix + ".trusted_keys", {});
+  std::shared_ptr<TrustedKeys> keys;
+  file.check(prefix + (options.trusted_keys.empty() ? ".require_signature" : ".trusted_keys"),
+             [&] { keys = std::make_shared<TrustedKeys>(options); });
+  return keys;
+}
+
+std::shared_ptr<TrustedKeys> read_trusted_masters(config::YamlSection& file) {
+  TrustedKeys::Options options{true, file.strings_or("orders.trusted_keys", {})};
+  if (options.trusted_keys.empty()) return nullptr;
+  std::shared_ptr<TrustedKeys> keys;
+  file.check("orders.trusted_keys", [&] { keys = std::make_shared<TrustedKeys>(options); });
+  return keys;
 }
 
 }  // namespace iotcloud::security

@@ -10,6 +10,10 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/security/ed25519.h>
 
+namespace iotcloud::config {
+class YamlSection;
+}
+
 namespace iotcloud::security {
 
 /// The keys of those who may sign plugins that run here. Thread safe.
@@ -49,5 +53,11 @@ class TrustedKeys {
   std::shared_ptr<const Keys> keys_ IOTCLOUD_GUARDED_BY(mutex_) = std::make_shared<const Keys>();
   std::uint64_t generation_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
 };
+
+/// Reads `<prefix>.require_signature` and `<prefix>.trusted_keys` of a daemon's file: who may sign what is sent to it.
+std::shared_ptr<TrustedKeys> read_signers(config::YamlSection& file, const std::string& prefix);
+
+/// Reads `orders.trusted_keys` of a daemon's file: the masters whose orders it follows. \return nullptr: all masters'.
+std::shared_ptr<TrustedKeys> read_trusted_masters(config::YamlSection& file);
 
 }  // namespace iotcloud::security

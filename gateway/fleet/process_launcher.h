@@ -17,7 +17,7 @@
 #include <iotcloud/processes/child_account.h>
 #include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/confinement.h>
-#include <iotcloud/processes/confinement_settings.h>
+#include <iotcloud/processes/process_settings.h>
 #include <iotcloud/processes/vitals.h>
 
 namespace iotcloud::gateway {

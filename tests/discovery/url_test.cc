@@ -68,12 +68,14 @@ TEST(RegistryUrl, ThePasswordDoesNotGoToAnotherMachineInTheClearUnlessItIsMeant)
   }
 }
 
+/// What is logged while a registry is made.
+std::string said(const RegistryOptions& options) {
+  const iotcloud::tests::CapturedLog log;
+  make_registry(options);
+  return log.text();
+}
+
 TEST(RegistryUrl, AUserThatAllProcessesShareIsWarnedOf) {
-  const auto said = [](const RegistryOptions& options) {
-    const iotcloud::tests::CapturedLog log;
-    make_registry(options);
-    return log.text();
-  };
   RegistryOptions options;
   options.url = "zookeeper://localhost:1/x";
   options.user = "fleet";
@@ -85,11 +87,6 @@ TEST(RegistryUrl, AUserThatAllProcessesShareIsWarnedOf) {
 }
 
 TEST(RegistryUrl, AServerOfThisMachineWithoutAUserIsWarnedOfUnlessItIsMeant) {
-  const auto said = [](const RegistryOptions& options) {
-    const iotcloud::tests::CapturedLog log;
-    make_registry(options);
-    return log.text();
-  };
   RegistryOptions options;
   options.url = "zookeeper://localhost:1/x";
   EXPECT_THAT(said(options), AllOf(HasSubstr(options.url), HasSubstr("every process of this machine"),

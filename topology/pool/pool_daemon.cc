@@ -1,13 +1,10 @@
 #include <atomic>
 #include <optional>
 #include <utility>
-#include <vector>
 
-#include <fmt/format.h>
-#include <fmt/ranges.h>
 #include <unistd.h>
 
-#include <iotcloud/config/error.h>
+#include <iotcloud/config/daemon/reload.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/processes/state_folder.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
@@ -53,24 +50,17 @@ class PoolDaemon final : public config::DaemonService {
   }
 
   void reload() override {
-    std::vector<std::string> problems;
-    const auto attempt = [&problems](const auto& what) {
-      try {
-        what();
-      } catch (const std::exception& error) {
-        problems.emplace_back(error.what());
-      }
-    };
-    attempt([&] { config_.library_keys->reload(); });
+    config::Reload parts;
+    parts.part([&] { config_.library_keys->reload(); });
     if (config_.order_keys) {
-      attempt([&] {
+      parts.part([&] {
         config_.order_keys->reload();
         pool_->reload();
       });
     }
-    attempt([&] { service_->reload(); });
-    if (metrics_) attempt([&] { metrics_->reload(); });
-    if (!problems.empty()) throw config::Error(fmt::format("{}", fmt::join(problems, "; ")));
+    parts.part([&] { service_->reload(); });
+    if (metrics_) parts.part([&] { metrics_->reload(); });
+    parts.finish();
   }
 
   void stop(std::chrono::milliseconds limit) override {

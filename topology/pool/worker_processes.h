@@ -6,8 +6,8 @@
 #include <vector>
 
 #include <iotcloud/processes/child_process.h>
-#include <iotcloud/processes/confinement_settings.h>
 #include <iotcloud/processes/plugin_store.h>
+#include <iotcloud/processes/process_settings.h>
 #include <iotcloud/processes/vitals.h>
 #include <iotcloud/security/trusted_keys.h>
 #include <iotcloud/topology/pool/worker_launcher.h>

@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include <iotcloud/config/daemon/daemon.h>
+#include <iotcloud/config/daemon/reload.h>
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/rpc/http/health_page.h>
 #include <iotcloud/rpc/http/http_server.h>
@@ -63,8 +64,10 @@ class WorkerService final : public config::DaemonService {
   }
   void stop(std::chrono::milliseconds limit) override { worker_.stop(limit); }
   void reload() override {
-    worker_.reload();
-    pages_->reload();
+    config::Reload parts;
+    parts.part([&] { worker_.reload(); });
+    parts.part([&] { pages_->reload(); });
+    parts.finish();
   }
   std::string trouble() const override { return started_ ? worker_.trouble() : "starting"; }
   const std::string& name() const { return worker_.name(); }

@@ -43,7 +43,7 @@ class SentPluginTest : public ProcessTest {
   /// The same driver with other bytes: nobody reads what is behind the end of a library.
   std::string probe(const std::string& version) const { return read_file(plugins_ / "probe.so") + version; }
   std::string send(const std::string& bytes, const std::string& signature = "") {
-    const auto sha256 = security::sha256_hex(bytes);
+    std::string sha256 = security::sha256_hex(bytes);
     const auto upload = store_->offer({"probe.so", sha256, static_cast<std::int64_t>(bytes.size()), signature});
     if (upload.empty()) return sha256;
     store_->add(upload, 0, bytes);
@@ -56,6 +56,11 @@ class SentPluginTest : public ProcessTest {
     return order;
   }
   std::string signature_of(const std::string& bytes) const { return security::sign(lab_.private_pem, "lab", bytes); }
+  /// Sends the version of the probe, signed as such. \return its SHA-256
+  std::string signed_as(std::uint64_t version) {
+    const auto bytes = probe("v" + std::to_string(version));
+    return send(bytes, security::sign_plugin(lab_.private_pem, "lab", bytes, "probe", version));
+  }
 
   bool signature_required_ = false;
   const security::KeyPair lab_ = security::new_key_pair();
@@ -65,10 +70,6 @@ class SentPluginTest : public ProcessTest {
 TEST_F(SentPluginTest, AnOldSignedPluginIsNotRolledBackTo) {
   signature_required_ = true;
   start_gateway();
-  const auto signed_as = [&](std::uint64_t version) {
-    const auto bytes = probe("v" + std::to_string(version));
-    return send(bytes, security::sign_plugin(lab_.private_pem, "lab", bytes, "probe", version));
-  };
   const auto first = signed_as(1), second = signed_as(2), third = signed_as(3);
   give(sent("a", first));
   ASSERT_TRUE(comes_to("a", DriverState::active)) << (record("a") ? record("a")->reason : "");
@@ -82,10 +83,6 @@ TEST_F(SentPluginTest, AnOldSignedPluginIsNotRolledBackTo) {
 TEST_F(SentPluginTest, OnlyAnOrderOfAnUpdateOpensTheWayBackToTheVersionBefore) {
   signature_required_ = true;
   start_gateway();
-  const auto signed_as = [&](std::uint64_t version) {
-    const auto bytes = probe("v" + std::to_string(version));
-    return send(bytes, security::sign_plugin(lab_.private_pem, "lab", bytes, "probe", version));
-  };
   const auto first = signed_as(1), second = signed_as(2), third = signed_as(3);
   const auto runs = [&](const std::string& sha256) {
     return eventually([&] {

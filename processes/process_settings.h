@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -8,6 +9,7 @@
 
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/processes/confinement.h>
+#include <iotcloud/processes/restarts.h>
 
 namespace iotcloud::processes {
 
@@ -37,6 +39,15 @@ PortsByCode read_ports(config::YamlSection& file, const ConfinementWords& words,
 
 /// The ports for processes that run this code; nullopt: no restriction.
 std::optional<std::vector<std::uint16_t>> ports_of(const PortsByCode& ports, const std::string& code);
+
+/// Reads `<prefix>log`, with `limit_mb` and `kept`: how long a process' log grows, and how many older ones stay.
+void read_log_limits(config::YamlSection& file, const std::string& prefix, int& limit_mb, int& kept);
+
+/// Reads `<prefix>restart`, with `first`, `longest`, `healthy_after` and `give_up_after`.
+void read_restarts(config::YamlSection& file, const std::string& prefix, RestartPolicy& policy);
+
+/// Reads a duration, in whole milliseconds.
+void read_time(config::YamlSection& section, const std::string& key, std::chrono::milliseconds& value);
 
 /// What every program reads: libraries, names of hosts and accounts, the system's certificates, itself in /proc. The
 /// folder of our own configuration is not among it.

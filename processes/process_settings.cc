@@ -4,8 +4,8 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/number.h>
-#include <iotcloud/processes/confinement_settings.h>
 #include <iotcloud/processes/landlock.h>
+#include <iotcloud/processes/process_settings.h>
 
 namespace iotcloud::processes {
 
@@ -133,6 +133,30 @@ const std::vector<std::string>& readable_by_all() {
                                               "/run/systemd/resolve",
                                               "/etc/ca-certificates"};
   return paths;
+}
+
+void read_time(config::YamlSection& section, const std::string& key, std::chrono::milliseconds& value) {
+  value = std::chrono::duration_cast<std::chrono::milliseconds>(section.duration_or(key, value));
+}
+
+void read_log_limits(config::YamlSection& file, const std::string& prefix, int& limit_mb, int& kept) {
+  auto log = file.optional_section(prefix + "log");
+  if (!log) return;
+  constexpr int most_mb = 1 << 20, most_kept = 1000;
+  limit_mb = static_cast<int>(log->int_or("limit_mb", limit_mb, 1, most_mb));
+  kept = static_cast<int>(log->int_or("kept", kept, 0, most_kept));
+  log->finish();
+}
+
+void read_restarts(config::YamlSection& file, const std::string& prefix, RestartPolicy& policy) {
+  auto restart = file.optional_section(prefix + "restart");
+  if (!restart) return;
+  read_time(*restart, "first", policy.first);
+  read_time(*restart, "longest", policy.longest);
+  read_time(*restart, "healthy_after", policy.healthy_after);
+  constexpr int most_failures = 1'000'000;
+  policy.give_up_after = static_cast<int>(restart->int_or("give_up_after", policy.give_up_after, 0, most_failures));
+  restart->finish();
 }
 
 }  // namespace iotcloud::processes
