@@ -23,7 +23,7 @@ DRIVERS = 4
 SESSION = "4s"
 
 
-def topology(library="passing.so", bolt="passing.Pass", fail_at="nowhere", grouping="fields, fields: [driverID]"):
+def topology(library="passing.so", bolt="passing.Pass", fail_at="nowhere", grouping="fields, fields: [driverID]", stand_still=""):
     return f"""
 zk.servers: ["{{zookeeper}}"]
 registry.session_timeout: {SESSION}
@@ -32,7 +32,7 @@ topology.library: {library}
 spouts:
   receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}}
 bolts:
-  pass: {{class: {bolt}, conf: {{fail_at: {fail_at}}}, inputs: [{{from: receive, grouping: {grouping}}}]}}
+  pass: {{class: {bolt}, conf: {{fail_at: {fail_at}, stand_still: "{stand_still}"}}, inputs: [{{from: receive, grouping: {grouping}}}]}}
   send:
     broker: rabbitmq
     driver: loadgen
@@ -49,6 +49,7 @@ class Pools(PrivateCluster):
 registry: "{self.zookeeper}"
 registry.session_timeout: {SESSION}
 state: "{self.out / 'state' / name}"
+worker_call_limit: 1s
 worker_restart: {{first: 100ms, give_up_after: 3}}
 """)
         self.commands[name] = [self.bin / "iotcloud-topology", "--pool", "--config", file, *PATIENT_STOP]
@@ -104,7 +105,7 @@ def check_taken_back(pools):
 
 
 def submit(pools):
-    file = pools.file("echo.yaml", topology())
+    file = pools.file("echo.yaml", topology(stand_still=pools.out / "stand-still"))
     begun = time.monotonic()
     pools.cli("topology", "submit", file, "--workers", "2")
     took = time.monotonic() - begun
@@ -126,6 +127,20 @@ def check_update(pools):
     text = pools.refused("update", pools.file("unable.yaml", topology(fail_at="prepare")))
     require("as the conf says" in text and "back on version 2" in text, text)
     wait_for("both run the version before again", lambda: sorted(pools.places()) == [("pool-1", 2), ("pool-2", 2)])
+
+
+def check_hang(pools):
+    """A worker whose bolt does not return from execute() is started again."""
+    def workers():
+        return {worker["pid"] for worker in pools.show()["workers"]}
+
+    before = workers()
+    (pools.out / "stand-still").touch()
+    begun = time.monotonic()
+    wait_for("a pool has killed its worker", lambda: any(
+        "did not return from a call" in pools.log(pool).read_text() for pool in ("pool-1", "pool-2")))
+    wait_for("another one runs in its place", lambda: len(before & workers()) == 1 and len(pools.places()) == 2)
+    print(f"a worker whose bolt stood still was replaced after {time.monotonic() - begun:.1f} s (limit 1 s)")
 
 
 def check_adoption(pools):
@@ -199,6 +214,7 @@ def main():
         for report in reports:
             pools.deploy("loadgen.so", "gateway-1", {"count": count, "rate": given.rate, "report": report})
         check_update(pools)
+        check_hang(pools)
         check_adoption(pools)
         check_takeover(pools)
         check_words(pools)

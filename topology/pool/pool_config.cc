@@ -44,6 +44,7 @@ void read_workers(config::YamlSection& file, PoolConfig& config) {
   processes::read_time(file, "worker_stop_limit", workers.stop_limit);
   config.pool.stop_limit = workers.stop_limit;
   processes::read_time(file, "worker_hang_limit", workers.hang_limit);
+  processes::read_time(file, "worker_call_limit", workers.call_limit);
   processes::read_time(file, "worker_spin_limit", workers.limits.spin);
   workers.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("worker_memory_limit_mb", 0, 0, most_mb)) << 20;
   static const processes::ConfinementWords words{"worker_", "a pool", "workers", "a worker", ""};

@@ -40,7 +40,7 @@ void PooledWorker::show(const pooled::WorkerReport& report) {
   waker_.wake();
 }
 
-void PooledWorker::probe_with(std::function<void()> probe) {
+void PooledWorker::probe_with(Probe probe) {
   const config::MutexLock lock(probing_);
   probe_ = std::move(probe);
 }
@@ -64,7 +64,7 @@ void PooledWorker::run(const std::stop_token& stop) {
       log_file_.rotate_if_too_long();
       if (on[1].revents != 0) {
         waker_.clear();
-        report();
+        send(state());
       }
       if (on[2].revents != 0 && pool_ && !obey()) pool_.reset();
       if (on[0].revents != 0) take_pool();
@@ -86,15 +86,16 @@ void PooledWorker::take_pool() {
   // A pool that looks who lives connects, and is gone when its next connection comes.
   pool_ = std::move(fresh);
   frames_ = {};
-  report();
+  send(state());
 }
 
-void PooledWorker::report() {
-  const auto now = [this] {
-    const config::MutexLock lock(mutex_);
-    return report_;
-  }();
-  if (pool_ && !processes::send_all(pool_, pooled::frame_of(now))) pool_.reset();
+pooled::WorkerReport PooledWorker::state() {
+  const config::MutexLock lock(mutex_);
+  return report_;
+}
+
+void PooledWorker::send(const pooled::WorkerReport& report) {
+  if (pool_ && !processes::send_all(pool_, pooled::frame_of(report))) pool_.reset();
 }
 
 /// \return false if the pool is gone.
@@ -110,11 +111,12 @@ bool PooledWorker::obey() {
       ::kill(getpid(), SIGTERM);  // run_daemon() stops the worker in order
       continue;
     }
+    auto answer = state();
     {
       const config::MutexLock lock(probing_);
-      if (probe_) probe_();
+      if (probe_) probe_(answer);
     }
-    report();
+    send(answer);
   }
   return true;
 }

@@ -28,9 +28,12 @@ class PooledWorker {
   const std::string& folder() const { return folder_; }
   /// Reports the state from now on.
   void show(const pooled::WorkerReport& report);
+  /// Adds to the answer to a ping.
+  using Probe = std::function<void(pooled::WorkerReport& answer)>;
   /// Sets what is called before each answer to a ping: it takes the locks that the worker's work takes, so that an
-  /// answer proves that the worker does not hang. When it returns, the one before does not run any more.
-  void probe_with(std::function<void()> probe);
+  /// answer proves that the worker does not hang, and says which call of a component takes long. When it returns, the
+  /// one before does not run any more.
+  void probe_with(Probe probe);
   /// Leaves word for the pool why this process ends. Does not throw.
   static void leave_word(const std::string& folder, bool refused, const std::string& reason) noexcept;
 
@@ -38,7 +41,8 @@ class PooledWorker {
   void run(const std::stop_token& stop);
   void take_pool();
   bool obey();
-  void report();
+  pooled::WorkerReport state();
+  void send(const pooled::WorkerReport& report);
 
   const std::string folder_;
   const pooled::WorkerSpec spec_;
@@ -49,7 +53,7 @@ class PooledWorker {
   config::Mutex mutex_;
   pooled::WorkerReport report_ IOTCLOUD_GUARDED_BY(mutex_);
   config::Mutex probing_;  ///< held while the worker is probed
-  std::function<void()> probe_ IOTCLOUD_GUARDED_BY(probing_);
+  Probe probe_ IOTCLOUD_GUARDED_BY(probing_);
 
   // Used on thread_ only.
   processes::OwnedDescriptor pool_;

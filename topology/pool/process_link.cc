@@ -108,8 +108,27 @@ bool ProcessLink::receive() {
   const auto bytes = processes::receive_some(socket_);
   if (!bytes) return false;
   frames_.feed(bytes->data(), bytes->size());
-  while (const auto body = frames_.next()) events_.on_report(pooled::decode_report(*body));
+  while (const auto body = frames_.next()) {
+    const auto report = pooled::decode_report(*body);
+    watch_calls(report);
+    events_.on_report(report);
+  }
   return true;
+}
+
+/// Kills the worker if one call of a component takes too long. The worker says so twice, because a machine that stood
+/// still makes a short call look long, once.
+void ProcessLink::watch_calls(const pooled::WorkerReport& report) {
+  const bool is_long = options_.call_limit.count() > 0 && report.call_ms > options_.call_limit.count();
+  long_calls_ = is_long ? long_calls_ + 1 : 0;
+  if (long_calls_ < 2) return;
+  kill(fmt::format("hung: {}/{} did not return from a call for {} ms", report.component, report.task, report.call_ms));
+}
+
+void ProcessLink::kill(const std::string& why) {
+  if (!killed_.empty()) return;
+  killed_ = why;
+  process_.kill();
 }
 
 void ProcessLink::ping() {
@@ -118,9 +137,7 @@ void ProcessLink::ping() {
   next_ping_ = now + options_.ping_period;
   processes::send_all(socket_, pooled::frame_of(pooled::PoolCommand{}));
   const std::string excess = vitals_.examine(now);
-  if (excess.empty() || !killed_.empty()) return;
-  killed_ = excess;
-  process_.kill();
+  if (!excess.empty()) kill(excess);
 }
 
 /// Kills the worker if it has not answered for too long or did not stop in time. \return whether it was killed.

@@ -22,6 +22,8 @@ class ProcessLink final : public WorkerLink {
     std::string folder;  ///< of the worker; removed when it has ended
     std::chrono::milliseconds ping_period{1000};
     std::chrono::milliseconds hang_limit{10000};  ///< a worker that is silent for this long is killed
+    /// A worker is killed in which a call of a component takes longer; 0: never.
+    std::chrono::milliseconds call_limit{0};
   };
   ProcessLink(Options options, const processes::VitalLimits& limits, processes::ChildProcess process,
               WorkerEvents events);
@@ -38,6 +40,8 @@ class ProcessLink final : public WorkerLink {
   bool receive();
   bool send_stop();
   void ping();
+  void watch_calls(const pooled::WorkerReport& report);
+  void kill(const std::string& why);
   bool overdue(std::chrono::nanoseconds silent);
   WorkerEnding wait_for_end();
 
@@ -55,6 +59,7 @@ class ProcessLink final : public WorkerLink {
   processes::FrameReader frames_;
   Instant next_ping_;
   bool stop_sent_ = false;
+  int long_calls_ = 0;  ///< reports in a row of a call that takes longer than the limit
   std::string killed_;  ///< why it was killed
   processes::Vitals vitals_;
 

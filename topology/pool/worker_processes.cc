@@ -113,8 +113,9 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
         processes::spawn(std::move(arguments), spec.log, processes::environment_of(options_.environment)), true);
     pool_logger.info("started worker {} of topology {} as process {}; it logs to {}", spec.place, spec.topology,
                      process.id(), spec.log);
-    return std::make_unique<ProcessLink>(ProcessLink::Options{folder, options_.ping_period, options_.hang_limit},
-                                         options_.limits, std::move(process), std::move(events));
+    return std::make_unique<ProcessLink>(
+        ProcessLink::Options{folder, options_.ping_period, options_.hang_limit, options_.call_limit}, options_.limits,
+        std::move(process), std::move(events));
   } catch (const config::Error&) {
     remove_folder(folder);
     throw;
@@ -149,8 +150,9 @@ std::vector<RunningWorker> WorkerProcesses::running() {
 std::unique_ptr<WorkerLink> WorkerProcesses::adopt(const RunningWorker& worker, WorkerEvents events) {
   const std::string folder = folder_of(worker.name);
   const int process = processes::peer_process(processes::connect_in(folder, pooled::socket_name));
-  return std::make_unique<ProcessLink>(ProcessLink::Options{folder, options_.ping_period, options_.hang_limit},
-                                       options_.limits, processes::ChildProcess(process, false), std::move(events));
+  return std::make_unique<ProcessLink>(
+      ProcessLink::Options{folder, options_.ping_period, options_.hang_limit, options_.call_limit}, options_.limits,
+      processes::ChildProcess(process, false), std::move(events));
 }
 
 }  // namespace iotcloud::topology

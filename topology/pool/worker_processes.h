@@ -28,6 +28,8 @@ class WorkerProcesses final : public WorkerLauncher {
     std::string program;                                 ///< empty: this process's own program
     std::chrono::milliseconds ping_period{1000};
     std::chrono::milliseconds hang_limit{10000};  ///< a worker that has not answered for this long hangs
+    /// A worker in which a call of a component has not returned for this long hangs; 0: no limit.
+    std::chrono::milliseconds call_limit{60000};
     std::chrono::milliseconds stop_limit{10000};  ///< until a worker that drains gives up the rest
     processes::Confinement confinement;           ///< that every worker gets; `ports` come from below
     processes::PortsByCode ports;                 ///< by topology; empty: workers connect to whatever they like

@@ -71,8 +71,16 @@ struct WorkerEnd {
 struct WorkerReport {
   bool runs = false;   ///< the topology runs
   std::string worker;  ///< WorkerRecord::name; empty: it is not known yet
+  /// \name The call of a component that has not returned for longest; only in answers to pings.
+  /// @{
+  std::string component = {};  ///< empty: none
+  int task = 0;
+  std::int64_t call_ms = 0;  ///< for how long
+  /// @}
   static constexpr const char* what = "a worker's report";
-  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(runs, required), IOTCLOUD_FIELD(worker, usual)};
+  static constexpr auto fields =
+      std::tuple{IOTCLOUD_FIELD(runs, required), IOTCLOUD_FIELD(worker, usual), IOTCLOUD_FIELD(component, rare),
+                 IOTCLOUD_FIELD(task, rare), IOTCLOUD_FIELD(call_ms, rare)};
 };
 
 /// A frame of the pool.

@@ -170,6 +170,17 @@ class Runtime::Impl {
     return std::make_unique<OwnedTap>(watcher);
   }
 
+  LongCall longest_call() const {
+    const auto longest = scheduler_.longest_slice();
+    for (const auto& task : graph_.tasks()) {
+      if (task.get() != longest.task) continue;
+      const std::chrono::nanoseconds age{longest.for_ns};
+      return {task->context().component, task->context().task,
+              std::chrono::duration_cast<std::chrono::milliseconds>(age)};
+    }
+    return {};
+  }
+
   const Topology& topology() const { return topology_; }
   internal::Scheduler& scheduler() { return scheduler_; }
   internal::Timers& timers() { return timers_; }
@@ -265,6 +276,9 @@ void Runtime::run_until_idle() {
 }
 void Runtime::run_due_timers() {
   impl_->timers().run_due();
+}
+LongCall Runtime::longest_call() const {
+  return impl_->longest_call();
 }
 bool Runtime::idle() const {
   return impl_->scheduler().idle();

@@ -81,6 +81,13 @@ struct TaskSnapshot {
   config::Histogram::Summary complete_latency;  ///< spouts: from emit to the ack of the whole tree
 };
 
+/// The call of user code that has not returned for longest.
+struct LongCall {
+  std::string component;  ///< empty: no user code runs
+  int task = 0;
+  std::chrono::milliseconds age{};  ///< about: since its task's slice began
+};
+
 /// The counts of all tasks of a topology so far.
 struct Snapshot {
   std::string topology;
@@ -147,6 +154,7 @@ class Runtime {
   /// Makes the tasks ready whose time-outs, ticks and polls are due by the injected clock; they run on the pool, or in
   /// run_until_idle(). With the system's clock the runtime does this by itself.
   void run_due_timers();
+  LongCall longest_call() const;
   /// Whether no task has work and none runs at this moment.
   bool idle() const;
 

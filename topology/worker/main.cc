@@ -71,6 +71,7 @@ class WorkerService final : public config::DaemonService {
   }
   std::string trouble() const override { return started_ ? worker_.trouble() : "starting"; }
   const std::string& name() const { return worker_.name(); }
+  topology::LongCall longest_call() const { return worker_.longest_call(); }
 
  private:
   rpc::HttpAnswer describe() const { return {200, "application/json", worker_.describe()}; }
@@ -136,7 +137,13 @@ class PooledService final : public config::DaemonService {
       topology::PooledWorker::leave_word(link_.folder(), false, error.what());
       throw;
     }
-    link_.probe_with([this] { static_cast<void>(worker_->trouble()); });
+    link_.probe_with([this](topology::pooled::WorkerReport& answer) {
+      static_cast<void>(worker_->trouble());
+      const auto call = worker_->longest_call();
+      answer.component = call.component;
+      answer.task = call.task;
+      answer.call_ms = call.age.count();
+    });
     link_.show({true, worker_->name()});
   }
   void stop(std::chrono::milliseconds limit) override {

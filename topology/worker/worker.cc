@@ -298,6 +298,10 @@ TapDesk& Worker::taps() {
   return *impl_->taps;
 }
 
+LongCall Worker::longest_call() const {
+  return impl_->running ? impl_->runtime->longest_call() : LongCall{};
+}
+
 Snapshot Worker::snapshot() const {
   return impl_->runtime ? impl_->runtime->snapshot() : Snapshot{};
 }

@@ -68,6 +68,7 @@ class Worker final : public config::DaemonService {
 
   const std::string& name() const;  ///< unique: below `/iot/topologies/<topology>/workers`
   Snapshot snapshot() const;        ///< empty before start()
+  LongCall longest_call() const;    ///< empty before start()
 
   /// This worker's pages (pages.h), for the daemon to serve. \throws config::Error before start().
   std::string describe() const;

@@ -41,6 +41,7 @@ TEST_F(PoolConfigTest, TheShippedFileSaysWhatHoldsWithoutIt) {
   const auto shipped = PoolConfig::load(SHIPPED_CONFIG), bare = load("");
   EXPECT_EQ(shipped.pool.record.id, "pool-1");
   EXPECT_EQ(shipped.workers.hang_limit, bare.workers.hang_limit);
+  EXPECT_EQ(shipped.workers.call_limit, bare.workers.call_limit);
   EXPECT_EQ(shipped.workers.stop_limit, bare.workers.stop_limit);
   EXPECT_EQ(shipped.workers.limits.spin, bare.workers.limits.spin);
   EXPECT_EQ(shipped.workers.limits.memory_bytes, bare.workers.limits.memory_bytes);

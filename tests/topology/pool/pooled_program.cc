@@ -37,6 +37,14 @@ int main(int, char** argv) {
     return 1;
   }
   link.show({true, "worker-" + std::to_string(getpid())});
+  const std::string long_call = "long call ";
+  if (wanted.starts_with(long_call)) {
+    link.probe_with([ms = std::stoi(wanted.substr(long_call.size()))](topology::pooled::WorkerReport& answer) {
+      answer.component = "count";
+      answer.task = 2;
+      answer.call_ms = ms;
+    });
+  }
   if (wanted == "stand still") raise(SIGSTOP);
   int received = 0;
   sigwait(&ending, &received);

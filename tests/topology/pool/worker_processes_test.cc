@@ -31,6 +31,7 @@ class Told {
     return {[this](const pooled::WorkerReport& report) {
               const std::lock_guard lock(mutex_);
               report_ = report;
+              if (report.call_ms > 0) ++answers_;
             },
             [this](const WorkerEnding& ending) {
               const std::lock_guard lock(mutex_);
@@ -40,6 +41,11 @@ class Told {
   pooled::WorkerReport report() const {
     const std::lock_guard lock(mutex_);
     return report_;
+  }
+  /// How many times it told of a call.
+  int answers() const {
+    const std::lock_guard lock(mutex_);
+    return answers_;
   }
   bool runs() const {
     return eventually([this] { return report().runs; });
@@ -58,6 +64,7 @@ class Told {
  private:
   mutable std::mutex mutex_;
   pooled::WorkerReport report_;
+  int answers_ = 0;
   std::optional<WorkerEnding> ending_;
 };
 
@@ -86,6 +93,7 @@ class WorkerProcessesTest : public testing::Test {
     options.program = POOLED_PROGRAM;
     options.ping_period = 20ms;
     options.hang_limit = hang_limit_;
+    options.call_limit = call_limit_;
     options.confinement = confinement_;
     return std::make_unique<WorkerProcesses>(options);
   }
@@ -101,7 +109,7 @@ class WorkerProcessesTest : public testing::Test {
     return names;
   }
 
-  std::chrono::milliseconds hang_limit_ = tests::patience;
+  std::chrono::milliseconds hang_limit_ = tests::patience, call_limit_ = 0ms;
   processes::Confinement confinement_;
   std::string folder_, state_;
   std::shared_ptr<processes::PluginStore> store_;
@@ -164,6 +172,23 @@ TEST_F(WorkerProcessesTest, KillsAWorkerThatHangs) {
   const auto link = workers->start(order("stand still"), told_.events());
   EXPECT_EQ(told_.ending().how, How::failed);
   EXPECT_THAT(told_.ending().reason, HasSubstr("hung: no answer for 300 ms"));
+}
+
+TEST_F(WorkerProcessesTest, KillsAWorkerInWhichACallDoesNotReturn) {
+  call_limit_ = 299ms;
+  const auto workers = make();
+  const auto link = workers->start(order("long call 300"), told_.events());
+  EXPECT_EQ(told_.ending().how, How::failed);
+  EXPECT_EQ(told_.ending().reason, "hung: count/2 did not return from a call for 300 ms");
+}
+
+TEST_F(WorkerProcessesTest, LeavesAWorkerAloneWhoseCallsTakeAsLongAsTheyMay) {
+  call_limit_ = 300ms;
+  const auto workers = make();
+  const auto link = workers->start(order("long call 300"), told_.events());
+  ASSERT_TRUE(eventually([&] { return told_.answers() > 3; }));
+  link->stop(tests::patience);
+  EXPECT_EQ(told_.ending().how, How::stopped);
 }
 
 TEST_F(WorkerProcessesTest, KillsAWorkerThatDoesNotStop) {

@@ -231,6 +231,9 @@ TEST(Executors, ATaskThatDoesNotReturnIsNamed) {
     const std::lock_guard lock(mutex);
     return !reports.empty();
   }));
+  EXPECT_TRUE(eventually([&] { return runtime.longest_call().component == "stuck"; }));
+  EXPECT_EQ(runtime.longest_call().task, 2);
+  EXPECT_GE(runtime.longest_call().age, options.hang_after);
   may_end.count_down();
   EXPECT_TRUE(eventually([&] { return source->acked().size() == 1; })) << "it is reported, not killed";
   const std::lock_guard lock(mutex);

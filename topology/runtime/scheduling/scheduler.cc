@@ -273,6 +273,19 @@ void Scheduler::report_hanging(std::chrono::milliseconds limit) {
   for (const auto& [task, began] : hanging) task->hangs(now - began);
 }
 
+Scheduler::LongSlice Scheduler::longest_slice() const {
+  const std::int64_t now = real_ns();
+  LongSlice longest;
+  const config::MutexLock lock(mutex_);
+  for (const auto& lane : lanes_) {
+    const std::int64_t began = lane->slice_began_ns.load(std::memory_order_relaxed);
+    const Runnable* task = lane->running.load();
+    if (began == 0 || task == nullptr || now - began <= longest.for_ns) continue;
+    longest = {task, now - began};
+  }
+  return longest;
+}
+
 void Scheduler::set_limit(Executors& executors, int limit) {
   ReadyList freed = executors.set_limit(limit);
   hand_over(freed);

@@ -60,6 +60,12 @@ class Scheduler {
 
   /// Calls Runnable::hangs() for each task whose slice has been running for `limit`, once for each slice.
   void report_hanging(std::chrono::milliseconds limit);
+  /// The slice that has been running for longest now.
+  struct LongSlice {
+    const Runnable* task = nullptr;  ///< nullptr: none runs
+    std::int64_t for_ns = 0;
+  };
+  LongSlice longest_slice() const;
   /// Changes the limit of `executors`, and hands the tasks that may run now to the pool.
   void set_limit(Executors& executors, int limit);
 
