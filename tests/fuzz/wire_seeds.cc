@@ -8,6 +8,7 @@
 #include "iotcloud/processes/starter_protocol.h"
 #include "iotcloud/security/audit_chain.h"
 #include "iotcloud/tests/fuzz/seeds.h"
+#include "iotcloud/topology/pool/worker_protocol.h"
 
 namespace iotcloud::fuzz {
 
@@ -82,6 +83,13 @@ SeedsOfTarget starter_protocol() {
                            encode(StarterAnswer{StarterAnswer::Kind::killed, 0, {}})}};
 }
 
+SeedsOfTarget worker_protocol() {
+  using topology::pooled::PoolCommand;
+  using topology::pooled::WorkerReport;
+  return {{"commands", '\x20' + encode(PoolCommand{}) + encode(PoolCommand{true})},
+          {"reports", '\x21' + encode(WorkerReport{}) + encode(WorkerReport{true, "lab1-4711", "count", 2, 61'000})}};
+}
+
 /// The first byte chooses whether the target signs the rest (signed_orders_fuzzer.cc), the second what it changes then.
 SeedsOfTarget signed_orders() {
   discovery::OrderRecord order;
@@ -140,6 +148,7 @@ void add_wire_seeds(Seeds& seeds) {
   const std::string hash(64, 'a');
   seeds["host_protocol"] = host_protocol();
   seeds["starter_protocol"] = starter_protocol();
+  seeds["worker_protocol"] = worker_protocol();
   seeds["kafka_headers"]["ours"] = header("sensorID", "01") + header("siteID", "gw") + header("time", "1700000000000") +
                                    header("x-iotcloud-expires", "9") + header("x-iotcloud-resent", "1");
   seeds["kafka_headers"]["twice"] = header("sensorID", "01") + header("sensorID", "02") + header("time", "-1");

@@ -95,7 +95,7 @@ pooled::WorkerReport PooledWorker::state() {
 }
 
 void PooledWorker::send(const pooled::WorkerReport& report) {
-  if (pool_ && !processes::send_all(pool_, pooled::frame_of(report))) pool_.reset();
+  if (pool_ && !processes::send_all(pool_, pooled::encode(report))) pool_.reset();
 }
 
 /// \return false if the pool is gone.

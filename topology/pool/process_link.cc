@@ -101,7 +101,7 @@ bool ProcessLink::send_stop() {
     if (!stop_deadline_ || stop_sent_) return true;
   }
   stop_sent_ = true;
-  return processes::send_all(socket_, pooled::frame_of(pooled::PoolCommand{true}));
+  return processes::send_all(socket_, pooled::encode(pooled::PoolCommand{true}));
 }
 
 bool ProcessLink::receive() {
@@ -135,7 +135,7 @@ void ProcessLink::ping() {
   const auto now = Steady::now();
   if (now < next_ping_) return;
   next_ping_ = now + options_.ping_period;
-  processes::send_all(socket_, pooled::frame_of(pooled::PoolCommand{}));
+  processes::send_all(socket_, pooled::encode(pooled::PoolCommand{}));
   const std::string excess = vitals_.examine(now);
   if (!excess.empty()) kill(excess);
 }

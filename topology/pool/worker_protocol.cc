@@ -54,10 +54,10 @@ std::string encode(const WorkerSpec& spec) {
 std::string encode(const WorkerEnd& end) {
   return text_of(end);
 }
-std::string frame_of(const WorkerReport& report) {
+std::string encode(const WorkerReport& report) {
   return processes::frame(text_of(report));
 }
-std::string frame_of(const PoolCommand& command) {
+std::string encode(const PoolCommand& command) {
   return processes::frame(text_of(command));
 }
 

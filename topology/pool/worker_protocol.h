@@ -97,8 +97,8 @@ WorkerConfinement worker_confinement(const processes::Confinement& confinement);
 std::string encode(const WorkerSpec& spec);
 std::string encode(const WorkerEnd& end);
 /// Frames.
-std::string frame_of(const WorkerReport& report);
-std::string frame_of(const PoolCommand& command);
+std::string encode(const WorkerReport& report);
+std::string encode(const PoolCommand& command);
 
 /// \throws config::Error if there is no such file, or it does not say that.
 WorkerSpec read_spec(const std::string& folder);
