@@ -9,6 +9,7 @@
 #include <fmt/format.h>
 #include <signal.h>
 #include <spawn.h>
+#include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -29,21 +30,15 @@ constexpr std::array usual_variables = {
 /// Settings that keep a child from inheriting the session, signals and descriptors (sockets above all).
 class Spawning {
  public:
-  explicit Spawning(const std::string& log_file) {
-    posix_spawn_file_actions_init(&actions_);
-    posix_spawn_file_actions_addopen(&actions_, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
-    posix_spawn_file_actions_addopen(&actions_, STDOUT_FILENO, log_file.c_str(), O_WRONLY | O_CREAT | O_APPEND, 0600);
-    posix_spawn_file_actions_adddup2(&actions_, STDOUT_FILENO, STDERR_FILENO);
-    posix_spawn_file_actions_addclosefrom_np(&actions_, STDERR_FILENO + 1);
-    set_attributes();
-  }
-  Spawning(int log, int passed) {
+  /// \param passed -1: none
+  explicit Spawning(int log, int passed = -1) {
     posix_spawn_file_actions_init(&actions_);
     posix_spawn_file_actions_addopen(&actions_, STDIN_FILENO, "/dev/null", O_RDONLY, 0);
     posix_spawn_file_actions_adddup2(&actions_, log, STDOUT_FILENO);
     posix_spawn_file_actions_adddup2(&actions_, log, STDERR_FILENO);
-    posix_spawn_file_actions_adddup2(&actions_, passed, STDERR_FILENO + 1);
-    posix_spawn_file_actions_addclosefrom_np(&actions_, STDERR_FILENO + 2);
+    int last = STDERR_FILENO;
+    if (passed >= 0) posix_spawn_file_actions_adddup2(&actions_, passed, ++last);
+    posix_spawn_file_actions_addclosefrom_np(&actions_, last + 1);
     set_attributes();
   }
   ~Spawning() {
@@ -85,10 +80,24 @@ class Spawning {
   posix_spawnattr_t attributes_;
 };
 
+/// Opens a log, in whose folder another process may have put something else in its place.
+OwnedDescriptor open_for_output(const std::string& path) {
+  constexpr mode_t only_owner = 0600;
+  OwnedDescriptor log(
+      open(path.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC, only_owner));
+  struct stat status {};
+  if (!log) throw config::Error(fmt::format("the log {} cannot be opened: {}", path, std::strerror(errno)));
+  if (fstat(log.get(), &status) != 0 || !S_ISREG(status.st_mode))
+    throw config::Error(fmt::format("the log {} is not a file: somebody has put something else there", path));
+  fcntl(log.get(), F_SETFL, O_APPEND);  // the child's writes wait
+  return log;
+}
+
 }  // namespace
 
 int spawn(std::vector<std::string> arguments, const std::string& log_file, std::vector<std::string> environment) {
-  return Spawning(log_file).spawn(std::move(arguments), std::move(environment));
+  const auto log = open_for_output(log_file);
+  return Spawning(log.get()).spawn(std::move(arguments), std::move(environment));
 }
 
 int spawn(std::vector<std::string> arguments, const OwnedDescriptor& log, const OwnedDescriptor& passed,

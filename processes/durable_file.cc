@@ -40,7 +40,7 @@ void sync_file(const OwnedDescriptor& file, const std::string& path) {
 }
 
 std::string read_file(const std::string& path, std::size_t most) {
-  const OwnedDescriptor file(open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  const OwnedDescriptor file(open(path.c_str(), O_RDONLY | O_NONBLOCK | O_CLOEXEC));
   if (!file) fail(path, "opened");
   constexpr std::size_t piece = std::size_t{64} * 1024;
   std::string bytes;

@@ -43,9 +43,10 @@ Place parse(const std::string& position) {
 }
 
 std::optional<OpenLog> open_log(const std::string& path) {
-  OpenLog log{OwnedDescriptor(open(path.c_str(), O_RDONLY | O_CLOEXEC)), 0, 0};
+  // Who writes logs may put something else in their place, which is not shown.
+  OpenLog log{OwnedDescriptor(open(path.c_str(), O_RDONLY | O_NOFOLLOW | O_NONBLOCK | O_CLOEXEC)), 0, 0};
   struct stat status {};
-  if (!log.descriptor || fstat(log.descriptor.get(), &status) != 0) return std::nullopt;
+  if (!log.descriptor || fstat(log.descriptor.get(), &status) != 0 || !S_ISREG(status.st_mode)) return std::nullopt;
   log.file = status.st_ino;
   log.size = static_cast<std::uint64_t>(status.st_size);
   return log;

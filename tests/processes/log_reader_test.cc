@@ -90,5 +90,12 @@ TEST_F(LogReaderTest, ALogThatIsNotThereAndAPositionThatIsNoneAreErrors) {
   }
 }
 
+TEST_F(LogReaderTest, ShowsNoFileToWhichALinkInTheLogsPlaceLeads) {
+  std::ofstream(folder_ / "secret") << "s";
+  fs::create_symlink(folder_ / "secret", path_);
+  std::string position;
+  EXPECT_THROW(read_log(path_, position, 100), config::Error);
+}
+
 }  // namespace
 }  // namespace iotcloud::processes

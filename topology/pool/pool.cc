@@ -19,6 +19,8 @@ namespace {
 /// How long, after the time that a kill order gives, a worker has to close and to end before its pool ends it.
 constexpr milliseconds kill_margin{5000};
 constexpr milliseconds clean_pause{60000};
+/// Of the time in which the pool is to stop: for workers that must be killed to end.
+constexpr milliseconds death_reserve{3000};
 
 std::string text_of(const PlaceId& place) {
   return fmt::format("place {} of topology {}", place.number, place.topology);
@@ -40,7 +42,12 @@ Pool::~Pool() {
 }
 
 void Pool::start(const std::stop_token& stop) {
-  for (const auto& place : fleet_.adopt()) claim(place, true);
+  bool answers = true;  // an absent registry must not be waited for once for each place
+  for (const auto& place : fleet_.adopt()) {
+    answers = answers && remove_former(place);
+    claims_[place].held = true;
+    claim(place);
+  }
   presence_.show(fleet_.states(), options_.libraries->all(), "");
   presence_.join(options_.session_timeout + options_.session_timeout / 2, stop);
   thread_ = std::jthread([this](const std::stop_token& end) { run(end); });
@@ -70,12 +77,21 @@ void Pool::run(const std::stop_token& stop) {
                           [this]() IOTCLOUD_REQUIRES(mutex_) { return !tasks_.empty(); });
       tasks.swap(tasks_);
     }
-    for (const auto& task : tasks) task();
+    for (const auto& task : tasks) attempt(task);
     if (to_show_ && view_ && !leaving_) follow();  // a worker has ended, or runs: its place may go to another pool
     if (leaving_) leave();
     if (std::chrono::steady_clock::now() < clean_at) continue;
     clean_at = std::chrono::steady_clock::now() + clean_pause;
     clean_libraries();
+  }
+}
+
+/// Runs a task; one that fails leaves the others alone.
+void Pool::attempt(const std::function<void()>& task) {
+  try {
+    task();
+  } catch (const std::exception& error) {
+    pool_logger.error("the pool could not follow what it saw, and looks again with the next change: {}", error.what());
   }
 }
 
@@ -90,6 +106,10 @@ void Pool::leave() {
 void Pool::look(PoolView view, std::string trouble) {
   if (leaving_) return;
   view_ = std::move(view);
+  // The record that was read may be older than what it says: after a lost session the registry has the first one again.
+  for (auto& pool : view_->pools) {
+    if (is_this(pool)) pool.files = options_.libraries->all();
+  }
   {
     const config::MutexLock lock(mutex_);
     refused_ = std::move(trouble);
@@ -98,12 +118,14 @@ void Pool::look(PoolView view, std::string trouble) {
   follow();
 }
 
+bool Pool::is_this(const discovery::PoolRecord& pool) const {
+  return pool.id == options_.record.id && pool.state_id == options_.record.state_id;
+}
+
 /// Makes it so that this pool runs its share.
 void Pool::follow() {
-  const auto is_this = [&](const discovery::PoolRecord& pool) {
-    return pool.id == options_.record.id && pool.state_id == options_.record.state_id;
-  };
-  if (std::none_of(view_->pools.begin(), view_->pools.end(), is_this)) return;  // not joined, or cut off: nothing moves
+  const auto is_mine = [this](const auto& pool) { return is_this(pool); };
+  if (std::none_of(view_->pools.begin(), view_->pools.end(), is_mine)) return;  // not joined, or cut off: nothing moves
   const auto shared = share_places(*view_);
   std::set<PlaceId> places;
   for (const auto& [place, pool] : shared) {
@@ -111,13 +133,14 @@ void Pool::follow() {
   }
   for (const auto& [place, one] : claims_) places.insert(place);
   for (const auto& place : places) {
-    const auto mine = shared.find(place);
-    follow(place, mine != shared.end() && mine->second == options_.record.id);
+    const auto share = shared.find(place);
+    follow(place, share == shared.end() ? nullptr : &share->second);
   }
   let_go(shared);
 }
 
-void Pool::follow(const PlaceId& place, bool is_mine) {
+/// \param whose the pool whose share the place is; nullptr: nobody's
+void Pool::follow(const PlaceId& place, const discovery::PoolId* whose) {
   const auto submitted = view_->submissions.find(place.topology);
   if (submitted == view_->submissions.end()) return;  // the registry has lost it: what runs goes on
   const Submission& submission = submitted->second;
@@ -126,32 +149,41 @@ void Pool::follow(const PlaceId& place, bool is_mine) {
   const bool of_another = holder != view_->holders.end() && holder->second.pool != options_.record.id;
   const auto claimed = claims_.find(place);
   const bool was_taken = of_another && claimed != claims_.end() && std::exchange(claimed->second.held, false);
-  if (!is_mine || was_taken) {
+  const bool is_wanted = place.number < submission.workers;
+  const bool is_mine = whose != nullptr && *whose == options_.record.id;
+  if (!is_wanted || (whose != nullptr && !is_mine) || was_taken) {
     // To another pool, or one worker less: when the worker has ended, let_go() gives the place up.
     fleet_.end(place);
     return;
   }
-  claim(place, false);
+  if (!is_mine) return;  // no pool can run what is wanted now: what runs goes on
+  claim(place);
   if (claims_.at(place).held) fleet_.run({place, submission.version_of(place.number)});
 }
 
-/// Asks for a place, or holds it already. \param left_by_former_run the worker there was started by a former run of
-/// this pool, whose node may still stand
-void Pool::claim(const PlaceId& place, bool left_by_former_run) {
+std::string Pool::holder() const {
+  return discovery::encode(discovery::PlaceHolder{options_.record.id, options_.record.state_id});
+}
+
+/// Removes the node by which a former run of this pool held a place. \return false if the registry is away
+bool Pool::remove_former(const PlaceId& place) {
+  const std::string path = options_.paths.place(place.topology, place.number);
+  try {
+    const auto there = options_.registry->get(path);
+    if (there && there->data == holder()) options_.registry->remove(path, there->version);
+  } catch (const discovery::RegistryError& error) {
+    pool_logger.debug("{} is held when the registry answers: {}", text_of(place), error.what());
+    return error.code() != discovery::RegistryErrorCode::away;
+  }
+  return true;
+}
+
+/// Asks for a place, unless this pool holds it or asks for it already.
+void Pool::claim(const PlaceId& place) {
   auto& claim = claims_[place];
   if (claim.node) return;
   const std::string path = options_.paths.place(place.topology, place.number);
-  const std::string holder = discovery::encode(discovery::PlaceHolder{options_.record.id, options_.record.state_id});
-  claim.held = left_by_former_run;
-  if (left_by_former_run) {
-    try {
-      const auto there = options_.registry->get(path);
-      if (there && there->data == holder) options_.registry->remove(path, there->version);
-    } catch (const discovery::RegistryError& error) {
-      pool_logger.debug("{} is held when the registry answers: {}", text_of(place), error.what());
-    }
-  }
-  claim.node = options_.registry->hold_eventually(path, holder, false, [this, place](const std::string& /*path*/) {
+  claim.node = options_.registry->hold_eventually(path, holder(), false, [this, place](const std::string& /*path*/) {
     post([this, place] {
       const auto found = claims_.find(place);
       if (found == claims_.end()) return;
@@ -214,12 +246,15 @@ void Pool::stop(milliseconds limit) {
   watch_.reset();
   if (thread_.joinable()) {
     presence_.leave();  // other pools take over what this one gives up from now on
-    post([this, limit] {
+    const auto for_workers = std::max(limit - death_reserve, limit / 2);
+    post([this, for_workers] {
       leaving_ = true;
-      for (const auto& state : fleet_.states()) fleet_.end({state.topology, state.place}, limit);
+      for (const auto& state : fleet_.states()) fleet_.end({state.topology, state.place}, for_workers);
     });
     const config::MutexLock lock(mutex_);
-    changed_.wait_for(mutex_, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return gone_; });
+    if (!changed_.wait_for(mutex_, limit, [this]() IOTCLOUD_REQUIRES(mutex_) { return gone_; }))
+      pool_logger.error("workers that were killed have not ended within {} ms; their places go to other pools",
+                        limit.count());
   }
   thread_ = {};
   claims_.clear();

@@ -72,9 +72,13 @@ class Pool final : public config::DaemonService {
   void run(const std::stop_token& stop);
   void look(PoolView view, std::string trouble);
   void follow();
-  void follow(const discovery::PlaceId& place, bool is_mine);
-  void claim(const discovery::PlaceId& place, bool left_by_former_run);
+  void follow(const discovery::PlaceId& place, const discovery::PoolId* whose);
+  bool is_this(const discovery::PoolRecord& pool) const;
+  void claim(const discovery::PlaceId& place);
+  bool remove_former(const discovery::PlaceId& place);
   void let_go(const std::map<discovery::PlaceId, discovery::PoolId>& shared);
+  std::string holder() const;
+  void attempt(const std::function<void()>& task);
   void leave();
   void show();
   void clean_libraries();

@@ -1,6 +1,8 @@
 #include <algorithm>
 #include <filesystem>
+#include <fstream>
 #include <optional>
+#include <stdexcept>
 #include <utility>
 
 #include <fmt/format.h>
@@ -24,7 +26,7 @@ using security::Role;
 namespace {
 
 constexpr std::int32_t most_of_log = 256 * 1024;  ///< bytes of a log in one answer
-constexpr std::size_t piece = std::size_t{512} * 1024;
+constexpr std::int64_t piece = std::int64_t{512} * 1024;
 
 /// Implements the service's methods for one connection.
 class PoolHandler final : public wire::TPoolServiceIf {
@@ -76,32 +78,37 @@ class PoolHandler final : public wire::TPoolServiceIf {
 
   void describeLibrary(wire::TKeptLibrary& answer, const std::string& sha256) override {
     answering([&] {
-      answer.__set_size(static_cast<std::int64_t>(content_of(sha256).size()));
+      answer.__set_size(static_cast<std::int64_t>(std::filesystem::file_size(path_of(sha256))));
       const std::string signature = options_.libraries->signature_path_of(sha256);
       answer.__set_signature(std::filesystem::exists(signature) ? processes::read_file(signature, 0) : "");
     });
   }
   void readLibrary(std::string& answer, const std::string& sha256, std::int64_t offset) override {
     answering([&] {
-      const auto content = content_of(sha256);
-      if (offset < 0 || static_cast<std::size_t>(offset) > content.size())
-        throw config::Error(fmt::format("the library has {} bytes, none at {}", content.size(), offset));
-      answer = content.substr(static_cast<std::size_t>(offset), piece);
+      const auto path = path_of(sha256);
+      const auto size = static_cast<std::int64_t>(std::filesystem::file_size(path));
+      if (offset < 0 || offset > size)
+        throw config::Error(fmt::format("the library has {} bytes, none at {}", size, offset));
+      std::ifstream file(path, std::ios::binary);
+      file.seekg(offset);
+      answer.resize(static_cast<std::size_t>(std::min(piece, size - offset)));
+      if (!file.read(answer.data(), static_cast<std::streamsize>(answer.size())))
+        throw config::Error(fmt::format("{} cannot be read", path));
     });
   }
 
  private:
-  std::string content_of(const std::string& sha256) const {
+  std::string path_of(const std::string& sha256) const {
     const auto path = options_.libraries->path_of(sha256);
     if (!path) throw config::Error(fmt::format("this pool has no library with the SHA-256 {}", sha256));
-    return processes::read_file(*path, 0);
+    return *path;
   }
 
   template <typename Body>
   void answering(Body&& body) {
     try {
       body();
-    } catch (const config::Error& e) {
+    } catch (const std::runtime_error& e) {
       wire::TPoolError error;
       error.__set_reason(e.what());
       throw error;

@@ -130,12 +130,13 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
       }
       const std::string text = fmt::format("the submission of topology {} is refused: {}", name, why);
       trouble += (trouble.empty() ? "" : "; ") + text;
-      if (std::exchange(told[name], one.submission.given_ms) == one.submission.given_ms) continue;
+      if (std::exchange(told[name], text) == text) continue;
       pool_logger.error("{}", text);
       config::process_metrics()
           .counter("iotcloud_pool_submissions_refused_total", "Submissions that no trusted master gave now")
           .add();
     }
+    std::erase_if(told, [&](const auto& one) { return !standing.contains(one.first); });
     // A topology whose end was marked is forgotten with its mark; what else vanishes goes on as it was.
     std::erase_if(accepted, [&](const auto& one) { return one.second.killed && !standing.contains(one.first); });
     return trouble;
@@ -164,7 +165,7 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
 
   // Used on the registry's dispatcher only, but for construction and destruction.
   std::map<TopologyName, Submission> accepted;
-  std::map<TopologyName, std::int64_t> told;  ///< which refused one was told, by its time
+  std::map<TopologyName, std::string> told;  ///< what was told of refused ones that still stand
   NodeGuards pools, submissions, places;
   std::vector<discovery::GuardPtr> guards;
 };

@@ -1,6 +1,6 @@
 #include <algorithm>
 #include <array>
-#include <filesystem>
+#include <system_error>
 
 #include <fmt/format.h>
 #include <poll.h>
@@ -25,14 +25,21 @@ constexpr milliseconds stop_margin{2000};
 
 }  // namespace
 
-ProcessLink::ProcessLink(Options options, const processes::VitalLimits& limits, processes::ChildProcess process,
+ProcessLink::ProcessLink(Options options, const processes::VitalLimits& limits, processes::ChildProcess& process,
                          WorkerEvents events)
     : options_(std::move(options)),
       process_(std::move(process)),
       events_(std::move(events)),
       next_ping_(Steady::now()),
-      vitals_(fmt::format("/proc/{}", process_.id()), limits),
-      thread_([this] { run(); }) {}
+      vitals_(fmt::format("/proc/{}", process_.id()), limits) {
+  try {
+    thread_ = std::jthread([this] { run(); });
+  } catch (const std::system_error&) {
+    process_.kill();
+    static_cast<void>(process_.how_it_ended());
+    throw;
+  }
+}
 
 ProcessLink::~ProcessLink() {
   leaving_ = true;
@@ -46,16 +53,16 @@ void ProcessLink::stop(milliseconds limit) {
   waker_.wake();
 }
 
-void ProcessLink::run() noexcept try {
-  if (connect()) converse();
+void ProcessLink::run() noexcept {
+  try {
+    if (connect()) converse();
+  } catch (const std::exception& e) {
+    pool_logger.error("the link to the worker in {}: {}", options_.folder, e.what());
+    if (!leaving_) kill(fmt::format("was ended: {}", e.what()));
+  }
   if (leaving_) return;
   const auto ending = wait_for_end();
   if (!leaving_) events_.on_ended(ending);
-} catch (const std::exception& e) {
-  pool_logger.error("the link to the worker in {}: {}", options_.folder, e.what());
-  if (leaving_) return;
-  process_.kill();
-  events_.on_ended({WorkerEnding::How::failed, fmt::format("was ended: {}", e.what())});
 }
 
 /// Tries until the worker listens, ends, or takes too long. \return whether the link is connected.
@@ -166,8 +173,7 @@ WorkerEnding ProcessLink::wait_for_end() {
   if (leaving_) return {};
   const std::string how = process_.how_it_ended();
   const auto word = pooled::read_end(options_.folder);
-  std::error_code ignored;
-  std::filesystem::remove_all(options_.folder, ignored);
+  pooled::remove_worker(options_.folder);
   const config::MutexLock lock(mutex_);
   if (stop_deadline_) return {WorkerEnding::How::stopped, killed_};
   if (!killed_.empty()) return {WorkerEnding::How::failed, killed_};

@@ -25,7 +25,9 @@ class ProcessLink final : public WorkerLink {
     /// A worker is killed in which a call of a component takes longer; 0: never.
     std::chrono::milliseconds call_limit{0};
   };
-  ProcessLink(Options options, const processes::VitalLimits& limits, processes::ChildProcess process,
+  /// \param process is taken over. \throws std::system_error when this process lacks descriptors or threads; then a
+  /// process that was taken over has ended.
+  ProcessLink(Options options, const processes::VitalLimits& limits, processes::ChildProcess& process,
               WorkerEvents events);
   ~ProcessLink() override;
 
@@ -46,9 +48,9 @@ class ProcessLink final : public WorkerLink {
   WorkerEnding wait_for_end();
 
   const Options options_;
+  processes::Waker waker_;
   const processes::ChildProcess process_;
   const WorkerEvents events_;
-  processes::Waker waker_;
   std::atomic<bool> leaving_{false};
 
   config::Mutex mutex_;

@@ -18,6 +18,12 @@ std::string name_of(const PlaceId& place) {
   return fmt::format("worker {} of topology {}", place.number, place.topology);
 }
 
+/// What a worker says goes into the pool's record, which has room for so much of each.
+std::string cut(const std::string& text) {
+  constexpr std::size_t most = 400;
+  return text.size() <= most ? text : text.substr(0, most) + "...";
+}
+
 }  // namespace
 
 WorkerFleet::WorkerFleet(WorkerLauncher& launcher, Options options)
@@ -86,8 +92,10 @@ void WorkerFleet::start(const PlaceId& id, Place& place) {
   show(place, "starting", place.last_failure.empty() ? "" : "again, after it " + place.last_failure);
   try {
     place.link = launcher_.start(*place.order, events_of(id, place.life));
-  } catch (const config::Error& error) {
-    leave_alone(id, place, error.what());
+  } catch (const WorkerRefused& refused) {
+    leave_alone(id, place, refused.what());
+  } catch (const std::exception& error) {
+    failed(id, place, fmt::format("could not be started: {}", error.what()));
   }
 }
 
@@ -101,9 +109,8 @@ void WorkerFleet::end(const PlaceId& id, std::chrono::milliseconds limit) {
     return;
   }
   place.ending = true;
-  if (std::exchange(place.stopping, true)) return;
-  show(place, "stopping", "");
-  place.link->stop(limit);
+  if (!std::exchange(place.stopping, true)) show(place, "stopping", "");
+  place.link->stop(limit);  // also when it stops already: it may have less time now
 }
 
 void WorkerFleet::let_end(const PlaceId& id, std::chrono::milliseconds limit) {
@@ -119,8 +126,8 @@ void WorkerFleet::heard(const PlaceId& id, const pooled::WorkerReport& report) {
   Place& place = places_.at(id);
   if (place.stopping || place.ending) return;
   const bool started = report.runs && place.status.state != "running";
-  if (!started && place.status.worker == report.worker) return;
-  place.status.worker = report.worker;
+  if (!started && place.status.worker == cut(report.worker)) return;
+  place.status.worker = cut(report.worker);
   if (started) {
     pool_logger.info("{} runs version {} as {}", name_of(id), place.runs_version, report.worker);
     show(place, "running", place.last_failure.empty() ? "" : "again, after it " + place.last_failure);
@@ -157,7 +164,7 @@ void WorkerFleet::failed(const PlaceId& id, Place& place, const std::string& rea
                {{"topology", id.topology.str()}})
       .add();
   if (!place.order) {
-    leave_alone(id, place, fmt::format("{}; the registry has no submission of the topology any more", reason));
+    leave_alone(id, place, fmt::format("{}; this pool does not know what is to run there", reason));
     return;
   }
   const auto pause = place.restarts.failed(options_.clock->now(), options_.restart);
@@ -198,7 +205,7 @@ std::optional<config::Clock::Instant> WorkerFleet::do_due() {
 
 void WorkerFleet::show(Place& place, const std::string& state, const std::string& reason) {
   place.status.state = state;
-  place.status.reason = reason;
+  place.status.reason = cut(reason);
   place.status.since_ms = options_.clock->wall_ms();
   options_.on_change();
 }

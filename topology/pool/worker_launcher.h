@@ -6,6 +6,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/error.h>
 #include <iotcloud/discovery/submissions.h>
 #include <iotcloud/topology/pool/worker_protocol.h>
 
@@ -51,11 +52,17 @@ struct RunningWorker {
   std::int64_t version = 0;
 };
 
+/// A worker cannot be started here, and to try again would not help.
+class WorkerRefused : public config::Error {
+ public:
+  using config::Error::Error;
+};
+
 /// Starts workers of topologies.
 class WorkerLauncher {
  public:
   virtual ~WorkerLauncher() = default;
-  /// Starts a worker; returns at once. \throws config::Error if it cannot be started here: to try again would not help
+  /// Starts a worker; returns at once. \throws WorkerRefused, config::Error if something lacks for now
   virtual std::unique_ptr<WorkerLink> start(const WorkerOrder& order, WorkerEvents events) = 0;
   /// The workers that outlived an earlier run of this pool.
   virtual std::vector<RunningWorker> running() = 0;

@@ -32,10 +32,8 @@ void write_file(const std::string& path, const std::string& text) {
   processes::write_all(processes::create_file(path), text, path);
 }
 
-void remove_folder(const std::string& path) {
-  std::error_code error;
-  fs::remove_all(path, error);
-  if (error) pool_logger.warn("{} cannot be removed: {}", path, error.message());
+std::string log_folder(const std::string& state_folder, const discovery::TopologyName& topology) {
+  return fmt::format("{}/logs/{}", state_folder, topology);
 }
 
 }  // namespace
@@ -50,7 +48,7 @@ WorkerProcesses::WorkerProcesses(Options options)
 }
 
 std::string WorkerProcesses::log_of(const std::string& state_folder, const discovery::PlaceId& place) {
-  return fmt::format("{}/logs/{}-{}.log", state_folder, place.topology, place.number);
+  return fmt::format("{}/{}.log", log_folder(state_folder, place.topology), place.number);
 }
 
 /// The path of a library in the store, whose bytes are those of the order and, if that is required, signed.
@@ -61,15 +59,19 @@ std::string WorkerProcesses::checked_library(const discovery::SentLibrary& libra
                                     security::short_sha256(library.sha256)));
   const std::string content = processes::read_file(*path, 0);
   if (security::sha256_hex(content) != library.sha256)
-    throw config::Error(fmt::format("{} has other bytes than those that were sent as {}", *path, library.file));
+    throw WorkerRefused(fmt::format("{} has other bytes than those that were sent as {}", *path, library.file));
   const std::string signature_path = options_.store->signature_path_of(library.sha256);
   const std::string signature = fs::exists(signature_path) ? processes::read_file(signature_path, 0) : "";
-  options_.trust->admit(library.file, content, signature);
+  try {
+    options_.trust->admit(library.file, content, signature);
+  } catch (const config::Error& error) {
+    throw WorkerRefused(error.what());
+  }
   return *path;
 }
 
 /// What a worker in this folder gives up: with restricted files it reaches the system's, its program's and libraries'
-/// folders, its own folder and the logs, besides those that are configured.
+/// folders, its own folder and its topology's logs, besides those that are configured.
 pooled::WorkerConfinement WorkerProcesses::confinement_in(const std::string& folder,
                                                           const discovery::TopologyName& topology) const {
   processes::Confinement confinement = options_.confinement;
@@ -79,7 +81,7 @@ pooled::WorkerConfinement WorkerProcesses::confinement_in(const std::string& fol
     const auto& by_all = processes::readable_by_all();
     read.insert(read.end(), by_all.begin(), by_all.end());
     read.insert(read.end(), {fs::path(options_.program).parent_path().string(), options_.state_dir + "/libraries"});
-    write.insert(write.end(), {"/dev", folder, options_.state_dir + "/logs"});
+    write.insert(write.end(), {"/dev", folder, log_folder(options_.state_dir, topology)});
   }
   return pooled::worker_confinement(confinement);
 }
@@ -97,10 +99,12 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
   const std::string folder = folder_of(processes::random_name());
   spec.confinement = confinement_in(folder, spec.topology);
   make_folder(folder);
+  make_folder(log_folder(options_.state_dir, spec.topology));
+  std::optional<processes::ChildProcess> process;
   try {
     write_file(folder + "/" + pooled::yaml_name, order.version.yaml);
     write_file(folder + "/" + pooled::end_name, "");
-    write_file(folder + "/" + pooled::spec_name, pooled::encode(spec));
+    write_file(pooled::spec_path(folder), pooled::encode(spec));
     // clang-format off
     std::vector<std::string> arguments = {
         options_.program, "--pooled", folder,
@@ -109,15 +113,17 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
     // clang-format on
     const auto as_this_process = config::log_options();
     arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
-    processes::ChildProcess process(
-        processes::spawn(std::move(arguments), spec.log, processes::environment_of(options_.environment)), true);
+    process.emplace(processes::spawn(std::move(arguments), spec.log, processes::environment_of(options_.environment)),
+                    true);
     pool_logger.info("started worker {} of topology {} as process {}; it logs to {}", spec.place, spec.topology,
-                     process.id(), spec.log);
-    return std::make_unique<ProcessLink>(
-        ProcessLink::Options{folder, options_.ping_period, options_.hang_limit, options_.call_limit}, options_.limits,
-        std::move(process), std::move(events));
-  } catch (const config::Error&) {
-    remove_folder(folder);
+                     process->id(), spec.log);
+    return link(folder, *process, std::move(events));
+  } catch (const std::exception&) {
+    if (process) {
+      process->kill();
+      static_cast<void>(process->how_it_ended());
+    }
+    pooled::remove_worker(folder);
     throw;
   }
 }
@@ -134,25 +140,34 @@ std::optional<RunningWorker> WorkerProcesses::examine(const std::string& name) c
   } catch (const config::Error& error) {
     pool_logger.warn("{}: {}", folder, error.what());
   }
-  remove_folder(folder);
+  pooled::remove_worker(folder);
   return std::nullopt;
 }
 
 std::vector<RunningWorker> WorkerProcesses::running() {
-  std::vector<RunningWorker> found;
+  std::vector<std::string> names;
   std::error_code error;
   for (const auto& entry : fs::directory_iterator(options_.state_dir + "/workers", error)) {
-    if (auto worker = examine(entry.path().filename())) found.push_back(std::move(*worker));
+    if (entry.is_directory(error)) names.push_back(entry.path().filename());
+  }
+  std::vector<RunningWorker> found;
+  for (const auto& name : names) {
+    if (auto worker = examine(name)) found.push_back(std::move(*worker));
   }
   return found;
 }
 
 std::unique_ptr<WorkerLink> WorkerProcesses::adopt(const RunningWorker& worker, WorkerEvents events) {
   const std::string folder = folder_of(worker.name);
-  const int process = processes::peer_process(processes::connect_in(folder, pooled::socket_name));
-  return std::make_unique<ProcessLink>(
-      ProcessLink::Options{folder, options_.ping_period, options_.hang_limit, options_.call_limit}, options_.limits,
-      processes::ChildProcess(process, false), std::move(events));
+  processes::ChildProcess process(processes::peer_process(processes::connect_in(folder, pooled::socket_name)), false);
+  return link(folder, process, std::move(events));
+}
+
+/// \param process unchanged if this throws
+std::unique_ptr<WorkerLink> WorkerProcesses::link(const std::string& folder, processes::ChildProcess& process,
+                                                  WorkerEvents events) const {
+  ProcessLink::Options options{folder, options_.ping_period, options_.hang_limit, options_.call_limit};
+  return std::make_unique<ProcessLink>(std::move(options), options_.limits, process, std::move(events));
 }
 
 }  // namespace iotcloud::topology

@@ -16,7 +16,7 @@ namespace iotcloud::topology {
 
 /// Runs each worker as a process of its own, iotcloud-topology, in the folder `STATE/workers/NAME`. It survives the
 /// pool, whose next run finds it there. A worker that hangs, spins or takes too much memory is killed; that counts as a
-/// crash. Workers log to `STATE/logs/TOPOLOGY-PLACE.log`, with the format and level that this process has when it
+/// crash. Workers log to `STATE/logs/TOPOLOGY/PLACE.log`, with the format and level that this process has when it
 /// starts them. Thread safe.
 class WorkerProcesses final : public WorkerLauncher {
  public:
@@ -50,6 +50,8 @@ class WorkerProcesses final : public WorkerLauncher {
 
  private:
   std::string folder_of(const std::string& name) const { return options_.state_dir + "/workers/" + name; }
+  std::unique_ptr<WorkerLink> link(const std::string& folder, processes::ChildProcess& process,
+                                   WorkerEvents events) const;
   pooled::WorkerConfinement confinement_in(const std::string& folder, const discovery::TopologyName& topology) const;
   std::string checked_library(const discovery::SentLibrary& library) const;
   std::optional<RunningWorker> examine(const std::string& name) const;

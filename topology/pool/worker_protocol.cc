@@ -1,6 +1,9 @@
+#include <filesystem>
+
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/processes/durable_file.h>
 #include <iotcloud/processes/frames.h>
+#include <iotcloud/topology/pool/logger.h>
 #include <iotcloud/topology/pool/worker_protocol.h>
 
 namespace iotcloud::topology::pooled {
@@ -61,8 +64,20 @@ std::string encode(const PoolCommand& command) {
   return processes::frame(text_of(command));
 }
 
+std::string spec_path(const std::string& folder) {
+  return folder + ".json";
+}
+
 WorkerSpec read_spec(const std::string& folder) {
-  return read<WorkerSpec>(folder + "/" + spec_name);
+  return read<WorkerSpec>(spec_path(folder));
+}
+
+void remove_worker(const std::string& folder) {
+  std::error_code error;
+  for (const auto& path : {folder, spec_path(folder)}) {
+    std::filesystem::remove_all(path, error);
+    if (error) pool_logger.warn("{} cannot be removed: {}", path, error.message());
+  }
 }
 
 std::optional<WorkerEnd> read_end(const std::string& folder) try {

@@ -11,12 +11,12 @@
 #include <iotcloud/discovery/submissions.h>
 #include <iotcloud/processes/confinement.h>
 
-/// What a pool and a worker that it started tell each other: files in the worker's folder, and frames of JSON
-/// (processes/frames.h) on the socket there, on which the worker listens.
+/// What a pool and a worker that it started tell each other: files, and frames of JSON (processes/frames.h) on a
+/// socket, on which the worker listens. They are in the worker's folder, in which a confined worker may write, but for
+/// the pool's order to it, which lies beside the folder.
 namespace iotcloud::topology::pooled {
 
 /// Names in a worker's folder.
-inline constexpr const char* spec_name = "worker.json";
 inline constexpr const char* yaml_name = "topology.yaml";
 inline constexpr const char* end_name = "end.json";
 inline constexpr const char* socket_name = "control.sock";
@@ -38,7 +38,7 @@ struct WorkerConfinement {
                                             IOTCLOUD_FIELD(writable, usual),          IOTCLOUD_FIELD(ports, rare)};
 };
 
-/// The file `worker.json`: what the pool wants of the worker. A pool that finds the worker of its former run reads it
+/// The file FOLDER.json: what the pool wants of the worker. A pool that finds the worker of its former run reads it
 /// again.
 struct WorkerSpec {
   discovery::PoolId pool;
@@ -100,8 +100,12 @@ std::string encode(const WorkerEnd& end);
 std::string encode(const WorkerReport& report);
 std::string encode(const PoolCommand& command);
 
+/// Where the order to the worker of a folder is.
+std::string spec_path(const std::string& folder);
 /// \throws config::Error if there is no such file, or it does not say that.
 WorkerSpec read_spec(const std::string& folder);
+/// Removes the folder and the order of a worker that has ended.
+void remove_worker(const std::string& folder);
 /// nullopt: the worker has left no word.
 std::optional<WorkerEnd> read_end(const std::string& folder);
 /// From a frame's body. \throws config::Error if it is none.

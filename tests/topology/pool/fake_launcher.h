@@ -1,6 +1,7 @@
 #pragma once
 
 #include <algorithm>
+#include <chrono>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -22,13 +23,15 @@ class FakeLauncher final : public WorkerLauncher {
     std::int64_t version = 0;
     WorkerEvents events;
     bool told_to_stop = false;
+    std::chrono::milliseconds stop_limit{0};  ///< the latest
     void run() const { events.on_report({true, "w"}); }
     void end(WorkerEnding::How how, const std::string& reason = "") const { events.on_ended({how, reason}); }
   };
 
   std::unique_ptr<WorkerLink> start(const WorkerOrder& order, WorkerEvents events) override {
     const std::lock_guard lock(mutex_);
-    if (!refusal_.empty()) throw config::Error(refusal_);
+    if (!refusal_.empty()) throw WorkerRefused(refusal_);
+    if (!shortage_.empty()) throw config::Error(shortage_);
     auto worker = add({order.place, order.version.number, std::move(events)});
     if (runs_at_once_) worker->run();
     return std::make_unique<Link>(*this, worker);
@@ -50,6 +53,11 @@ class FakeLauncher final : public WorkerLauncher {
   void refuse(std::string why) {
     const std::lock_guard lock(mutex_);
     refusal_ = std::move(why);
+  }
+  /// For this reason no worker can be started for now; empty: they can be again.
+  void run_short(std::string of_what) {
+    const std::lock_guard lock(mutex_);
+    shortage_ = std::move(of_what);
   }
   /// The workers whose links live.
   std::vector<std::shared_ptr<Worker>> workers() const {
@@ -81,8 +89,9 @@ class FakeLauncher final : public WorkerLauncher {
       const std::lock_guard lock(of_.mutex_);
       std::erase(of_.workers_, worker_);
     }
-    void stop(std::chrono::milliseconds) override {
+    void stop(std::chrono::milliseconds limit) override {
       const std::lock_guard lock(of_.mutex_);
+      worker_->stop_limit = limit;
       worker_->told_to_stop = true;
       if (of_.runs_at_once_) worker_->end(WorkerEnding::How::stopped);
     }
@@ -99,7 +108,7 @@ class FakeLauncher final : public WorkerLauncher {
 
   mutable std::mutex mutex_;
   std::vector<std::shared_ptr<Worker>> workers_;
-  std::string refusal_;
+  std::string refusal_, shortage_;
   bool runs_at_once_ = false;
   int started_ = 0;
 };

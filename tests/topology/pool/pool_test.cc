@@ -6,6 +6,7 @@
 #include <unistd.h>
 
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/security/sha256.h>
 #include <iotcloud/security/signed_object.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/security/certificates.h>
@@ -43,7 +44,7 @@ struct TestPool {
     wanted.launcher = launcher;
     processes::PluginStore::Options store;
     store.folder = folder + "/" + id;
-    wanted.libraries = std::make_shared<processes::PluginStore>(store);
+    libraries = wanted.libraries = std::make_shared<processes::PluginStore>(store);
     wanted.masters = std::move(masters);
     wanted.session_timeout = options.session_timeout;
     wanted.stop_limit = 1s;
@@ -51,9 +52,19 @@ struct TestPool {
     launcher->obey();
   }
   std::vector<std::string> running() const { return launcher->running_versions(); }
+  /// Sends it a library. \return it, as the topology's "x.so"
+  discovery::SentLibrary send(const std::string& bytes) const {
+    const auto upload =
+        libraries->offer({"x.so", security::sha256_hex(bytes), static_cast<std::int64_t>(bytes.size()), ""});
+    libraries->add(upload, 0, bytes);
+    libraries->finish(upload);
+    pool->take_library();
+    return {"x.so", "x.so", security::sha256_hex(bytes)};
+  }
 
   std::unique_ptr<discovery::Registry> registry;
   std::shared_ptr<FakeLauncher> launcher;
+  std::shared_ptr<processes::PluginStore> libraries;
   std::unique_ptr<Pool> pool;
 };
 
@@ -207,6 +218,38 @@ TEST_F(PoolTest, APoolAdoptsTheWorkersOfItsEarlierRun) {
   one->pool->start();
   EXPECT_TRUE(eventually([&] { return one->running() == std::vector<std::string>{"t/0 v1", "t/1 v1"}; }));
   EXPECT_EQ(one->launcher->started(), 2);  // the adopted one counts
+}
+
+TEST_F(PoolTest, AWorkerWhoseLibraryCameAfterThePoolGoesOnWhenTheSessionIsLost) {
+  const auto one = start("p1");
+  auto submission = views::submission("t", 1);
+  submission.version.libraries = {one->send("a library")};
+  submit(submission);
+  ASSERT_TRUE(eventually([&] { return one->running().size() == 1 && holders() == 1; }));
+  const auto path = paths_.pool(discovery::PoolId("p1"));
+  ASSERT_TRUE(eventually([&] { return record("p1").files.size() == 1; }));
+  for (int lost = 0; lost < 20; ++lost) {  // the record that comes back is the first one, for a moment
+    const auto session = watcher_->get(path)->owner_session;
+    server_->expire(session);
+    ASSERT_TRUE(eventually([&] {
+      const auto node = watcher_->get(path);
+      return node && node->owner_session != session && record("p1").files.size() == 1 && holders() == 1;
+    }));
+    ASSERT_EQ(one->launcher->started(), 1);
+  }
+}
+
+TEST_F(PoolTest, AWorkerGoesOnWhenNoPoolCanRunItsNextVersion) {
+  const auto one = start("p1");
+  submit(views::submission("t", 1));
+  ASSERT_TRUE(eventually([&] { return one->running().size() == 1; }));
+  auto next = views::submission("t", 1, 2);
+  next.version.libraries = {{"x.so", "x.so", security::sha256_hex("a library")}};
+  submit(next);
+  submit(views::submission("u", 1));  // it is followed after the other
+  ASSERT_TRUE(eventually([&] { return one->running() == std::vector<std::string>{"t/0 v1", "u/0 v1"}; }));
+  one->send("a library");
+  EXPECT_TRUE(eventually([&] { return one->running() == std::vector<std::string>{"t/0 v2", "u/0 v1"}; }));
 }
 
 TEST_F(PoolTest, ASecondPoolOfTheSameIdIsRefused) {

@@ -45,7 +45,11 @@ int main(int, char** argv) {
       answer.call_ms = ms;
     });
   }
-  if (wanted == "stand still") raise(SIGSTOP);
+  if (wanted == "babble") {
+    link.probe_with(
+        [](topology::pooled::WorkerReport& answer) { answer.worker = std::string(std::size_t{17} << 20, 'x'); });
+  }
+  if (wanted == "stand still") link.probe_with([](topology::pooled::WorkerReport&) { raise(SIGSTOP); });
   int received = 0;
   sigwait(&ending, &received);
   if (wanted == "stay") pause();

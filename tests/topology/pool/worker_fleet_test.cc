@@ -128,6 +128,32 @@ TEST_F(WorkerFleetTest, DoesNotStartAgainWhatCannotRun) {
   EXPECT_EQ(fleet_.do_due(), std::nullopt);
 }
 
+TEST_F(WorkerFleetTest, TriesAgainWhenSomethingLacksForNow) {
+  launcher_.run_short("no memory");
+  fleet_.run(order(0, 1));
+  EXPECT_EQ(state().state, "starting");
+  EXPECT_THAT(state().reason, HasSubstr("could not be started: no memory; it is started again in 500 ms"));
+  launcher_.run_short("");
+  clock_.advance(500ms);
+  fleet_.do_due();
+  EXPECT_THAT(launcher_.running_versions(), ElementsAre("t/0 v1"));
+}
+
+TEST_F(WorkerFleetTest, TellsTheBeginningOfWhatAWorkerSaysAtLength) {
+  fleet_.run(order(0, 1));
+  worker()->end(How::refused, std::string(1'000'000, 'x'));
+  settle();
+  EXPECT_EQ(state().reason, std::string(400, 'x') + "...");
+}
+
+TEST_F(WorkerFleetTest, AWorkerThatStopsAlreadyMayGetLessTime) {
+  fleet_.run(order(0, 1));
+  fleet_.run(order(0, 2));
+  EXPECT_EQ(worker()->stop_limit, 10s);
+  fleet_.end(order(0, 1).place, 1s);
+  EXPECT_EQ(worker()->stop_limit, 1s);
+}
+
 TEST_F(WorkerFleetTest, EndsAWorkerAndForgetsItsPlace) {
   fleet_.run(order(0, 1));
   worker()->run();
@@ -196,7 +222,7 @@ TEST_F(WorkerFleetTest, CannotStartAgainWhatNobodyOrders) {
   fleet_.adopt();
   crash();
   EXPECT_EQ(state().state, "failed");
-  EXPECT_THAT(state().reason, HasSubstr("no submission"));
+  EXPECT_THAT(state().reason, HasSubstr("does not know what is to run"));
 }
 
 }  // namespace
