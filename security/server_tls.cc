@@ -18,26 +18,25 @@ ServerTls::ServerTls(const std::string& service, TlsFiles files)
 
 void ServerTls::reload() {
   if (files_.empty()) return;
-  {
-    // Before the files are read: look() notices one that is replaced meanwhile, and reads one that is of no use again
-    // only when it has changed.
-    const config::MutexLock lock(mutex_);
-    seen_ = stamps();
-  }
-  auto read = std::make_shared<const TlsContext>(files_, TlsContext::Side::server);
+  const config::MutexLock lock(reading_);
+  read();
+}
+
+void ServerTls::read() {
+  // Before the files are read: look() notices one that is replaced meanwhile, and reads one that is of no use again
+  // only when it has changed.
+  seen_ = stamps();
+  auto fresh = std::make_shared<const TlsContext>(files_, TlsContext::Side::server);
   const config::MutexLock lock(mutex_);
-  context_ = std::move(read);
+  context_ = std::move(fresh);
 }
 
 std::string ServerTls::look() {
   if (files_.empty()) return "";
-  const bool replaced = [&] {
-    const config::MutexLock lock(mutex_);
-    return seen_ != stamps();
-  }();
   std::string problem;
   try {
-    if (replaced) reload();
+    const config::MutexLock lock(reading_);
+    if (seen_ != stamps()) read();
   } catch (const config::Error& e) {
     problem = e.what();
   }

@@ -29,11 +29,13 @@ class ServerTls {
  private:
   using Stamps = std::array<config::FileStamp, 4>;
   Stamps stamps() const;
+  void read() IOTCLOUD_REQUIRES(reading_);
 
   const TlsFiles files_;
   config::Gauge* const days_left_;  ///< null: no TLS
+  config::Mutex reading_;  ///< one reading at a time, so that the last one that begins is the last one that counts
+  Stamps seen_ IOTCLOUD_GUARDED_BY(reading_){};
   mutable config::Mutex mutex_;
-  Stamps seen_ IOTCLOUD_GUARDED_BY(mutex_){};
   std::shared_ptr<const TlsContext> context_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 

@@ -303,18 +303,17 @@ void TokenKeeper::warn_of_end(const TokenEntry& entry) const {
 }
 
 void TokenKeeper::reload() {
+  const config::MutexLock lock(reading_);
   read();
 }
 
 /// Reads the file if it was replaced since it was last read.
 void TokenKeeper::look() const {
-  {
-    const config::MutexLock lock(looking_);
-    const auto now = clock_.now();
-    if (now < next_look_) return;
-    next_look_ = now + look_period;
-    if (seen_ == config::stamp_of(file_)) return;
-  }
+  const config::MutexLock lock(reading_);
+  const auto now = clock_.now();
+  if (now < next_look_) return;
+  next_look_ = now + look_period;
+  if (seen_ == config::stamp_of(file_)) return;
   try {
     read();
     access_logger.info("read the token file {} again", file_);
@@ -324,21 +323,18 @@ void TokenKeeper::look() const {
 }
 
 void TokenKeeper::read() const {
-  {
-    // Before the file is read: look() notices one that is replaced meanwhile, and reads one that is of no use again
-    // only when it has changed.
-    const config::MutexLock lock(looking_);
-    seen_ = config::stamp_of(file_);
-    next_look_ = clock_.now() + look_period;
-  }
-  std::map<std::string, TokenEntry> read;
-  for (auto& entry : read_tokens(file_)) read[entry.name] = entry;
-  if (read.empty())
+  // Before the file is read: look() notices one that is replaced meanwhile, and reads one that is of no use again only
+  // when it has changed.
+  seen_ = config::stamp_of(file_);
+  next_look_ = clock_.now() + look_period;
+  std::map<std::string, TokenEntry> fresh;
+  for (auto& entry : read_tokens(file_)) fresh[entry.name] = entry;
+  if (fresh.empty())
     access_logger.warn("the token file {} is empty: nobody gets in; iotcloud token add NAME --role ROLE --file {}",
                        file_, file_);
-  for (const auto& [name, entry] : read) warn_of_end(entry);
+  for (const auto& [name, entry] : fresh) warn_of_end(entry);
   const config::WriteLock lock(mutex_);
-  entries_ = std::move(read);
+  entries_ = std::move(fresh);
 }
 
 /// The entry of the name with which the token begins.

@@ -88,7 +88,7 @@ class TokenKeeper {
 
  private:
   void look() const;
-  void read() const;
+  void read() const IOTCLOUD_REQUIRES(reading_);
   void warn_of_end(const TokenEntry& entry) const;
   void measure(const std::string& service, std::vector<config::Sample>& samples) const;
   bool is_over(const TokenEntry& entry) const;
@@ -105,9 +105,9 @@ class TokenKeeper {
   const config::Clock& clock_;
   mutable config::SharedMutex mutex_;
   mutable std::map<std::string, TokenEntry> entries_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by name
-  mutable config::Mutex looking_;
-  mutable config::FileStamp seen_ IOTCLOUD_GUARDED_BY(looking_){};  ///< of the file, before it was read
-  mutable config::Clock::Instant next_look_ IOTCLOUD_GUARDED_BY(looking_){};
+  mutable config::Mutex reading_;  ///< one reading at a time: the last one that begins is the last one that counts
+  mutable config::FileStamp seen_ IOTCLOUD_GUARDED_BY(reading_){};  ///< of the file, before it was read
+  mutable config::Clock::Instant next_look_ IOTCLOUD_GUARDED_BY(reading_){};
   mutable config::Mutex hashing_;  ///< one hash at a time: each takes 16 MiB
   const std::string secret_;       ///< of this process, so that its digests of tokens tell nothing elsewhere
   mutable config::Mutex verifying_;

@@ -10,6 +10,7 @@
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/security/certificates.h>
+#include <iotcloud/tests/security/slow_file.h>
 
 namespace iotcloud::security {
 namespace {
@@ -216,6 +217,20 @@ TEST_F(Tokens, OneThatIsTakenAwayIsWorthNothingSoonAfterWithoutBeingToldSo) {
   const auto said = log.text();
   EXPECT_NE(said.find("still count"), std::string::npos) << said;
   EXPECT_EQ(said.find("still count"), said.rfind("still count")) << "said once";
+}
+
+TEST_F(Tokens, OneThatIsTakenAwayDoesNotComeBackByAThreadThatHasReadTheFileBefore) {
+  const auto anna = add_token(file_, "anna", Role::admin);
+  add_token(file_, "bob", Role::viewer);
+  const tests::HandClock clock;
+  TokenKeeper keeper(file_, "", clock);
+  const auto entry = keeper.holder(anna, "");
+  ASSERT_TRUE(entry);
+  const std::string before = text();
+  ASSERT_TRUE(remove_token(file_, "anna"));
+  test::reload_around_a_change(file_, before, text(), [&] { keeper.reload(); });
+  EXPECT_FALSE(keeper.role_of(*entry));
+  EXPECT_FALSE(keeper.holder(anna, ""));
 }
 
 TEST_F(Tokens, AFileThatIsWrongChangesNothingWhenItIsReadAgain) {
