@@ -469,25 +469,32 @@ def certs(given):
 
 
 def cut_off(docker, gateways):
-    """Ends what holders of revoked certificates still have: a tunnel that was open, and gateways' users."""
+    """Ends what holders of revoked certificates still have: a tunnel that was open, and gateways' users. What cannot be done keeps
+    nothing else from being done."""
     running = {service: container["Id"] for service, container in docker.containers().items() if container["State"]["Running"]}
+    kept = []
     for gateway in gateways:
         master = next((master for master in MASTERS if master in running), MASTERS[0])
+        before = len(kept)
         for service, command in revocation.commands(gateway, master):
+            its_user = f"{gateway} keeps its user of {'the registry' if service == master else service}"
             if service in running:
                 try:
                     asked(["docker", "exec", running[service], *command])
                 except Refused as why:
                     if "does not exist" not in str(why):  # a user who went before
-                        raise
+                        kept.append(f"{its_user}: {why}")
             elif service != "kafka":
-                raise Refused(f"{gateway} keeps its user of {service}, which does not run: run the command again once it does")
-        say(f"{gateway} has no user at the brokers and in the registry any more; another gateway takes its place after "
-            "`./dev cluster down` and `up`")
+                kept.append(f"{its_user}: {service} does not run")
+        if len(kept) == before:
+            say(f"{gateway} has no user at the brokers and in the registry any more; another gateway takes its place after "
+                "`./dev cluster down` and `up`")
     if "registry-tls" in running:
         # Sessions outlive the seconds that it takes.
         asked(["docker", "restart", running["registry-tls"]])
         say("the tunnels to the registry are open anew, for those who may")
+    if kept:
+        raise Refused("; ".join(dict.fromkeys(kept)) + ": run the command again once they are well")
 
 
 def down(given):

@@ -271,19 +271,27 @@ def check_that_renewal_is_told(file):
 
 
 def commands_of_revocation(folder, holder, services):
-    """What Docker is told by `./dev cluster certs revoke HOLDER`, beside what it is told by `renew`, while these services run."""
+    """What Docker is told by `./dev cluster certs revoke HOLDER`, beside what it is told by `renew`, while these services run, and
+    at the end why the command fails, if it does."""
     commands = []
+
+    def revoke():
+        try:
+            cluster.certs(types.SimpleNamespace(verb="revoke", words=[holder]))
+        except cluster.Refused as why:
+            commands.append(["refused:", str(why)])
+
     containers = {name: {"Id": f"id-of-{name}", "State": {"Running": True}} for name in services}
     docker = types.SimpleNamespace(containers=lambda: containers, once=lambda *_: [], compose=lambda *words: ["compose", *words])
     with mock.patch.multiple(cluster, Docker=lambda: docker, run=lambda *_, **__: types.SimpleNamespace(returncode=0),
                              asked=commands.append, SECRETS=folder, distribute=lambda _: None, say=lambda *_: None):
-        cluster.certs(types.SimpleNamespace(verb="revoke", words=[holder]))
+        revoke()
         told = len(commands)
         commands.clear()
         cluster.certs(types.SimpleNamespace(verb="renew", words=[holder]))
         renewed = len(commands)
         commands.clear()
-        cluster.certs(types.SimpleNamespace(verb="revoke", words=[holder]))
+        revoke()
     if told != len(commands):
         sys.exit(f"a second `./dev cluster certs revoke` does other things: {commands}")
     return [" ".join(command) for command in commands[renewed:]]
@@ -313,6 +321,10 @@ def check_revocation():
         small = commands_of_revocation(folder, "gateway-1", SERVICES - {"kafka"})
         if small != [told[0], told[1], *told[3:]]:
             sys.exit(f"a revoked gateway without Kafka: {small}")
+        for down, left in (({"rabbitmq"}, told[2:]), (set(cluster.MASTERS), [*told[:3], restart])):
+            *others, refusal = commands_of_revocation(folder, "gateway-1", SERVICES - down)
+            if others != left or not refusal.startswith("refused:") or min(down) not in refusal:
+                sys.exit(f"a revoked gateway while {' and '.join(sorted(down))} are down: {others}, {refusal}")
         for name, text in files.items():
             left = (folder / "authority" / name).read_text(encoding="utf-8")
             if name.endswith(".json"):
