@@ -71,10 +71,9 @@ std::vector<RegistryAccess::Grant> RegistryAccess::grants(const std::string& pat
 
 int RegistryAccess::rights_of(const RegistryUser& user, const std::string& path, const std::string& creator) const {
   if (user.role == RegistryUser::Role::master) return all;
-  const std::vector<std::string> roots{paths_.sensors, paths_.gateways, paths_.topologies,
-                                       paths_.groups,  paths_.pools,    paths_.masters()};
+  const auto branches = paths_.branches();
   const bool in_a_branch =
-      std::any_of(roots.begin(), roots.end(), [&](const auto& root) { return is_at_or_below(path, root); });
+      std::any_of(branches.begin(), branches.end(), [&](const auto& root) { return is_at_or_below(path, root); });
   if (!in_a_branch) return read | create;  // a node above the branches: the first process that comes makes the branches
   return user.role == RegistryUser::Role::gateway ? of_gateway(user.name, path, creator) : of_worker(path);
 }

@@ -38,6 +38,10 @@ Paths::Paths(std::string sensors_root) : sensors(std::move(sensors_root)) {
   }
 }
 
+std::vector<std::string> Paths::branches() const {
+  return {sensors, gateways, topologies, groups, pools, masters()};
+}
+
 std::string Paths::driver(const DriverName& driver) const {
   return below(sensors, driver);
 }

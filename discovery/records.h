@@ -343,6 +343,8 @@ struct Paths {
   /// The readers that read a driver's channel as one group, and which of them reads what:
   /// `/iot/groups/<group>/<driver>/<channel>`.
   std::string readers(const std::string& group, const DriverName& driver, const std::string& channel) const;
+  /// The nodes below which all records are: each kind of them has one.
+  std::vector<std::string> branches() const;
   std::string sensors, gateways, topologies, groups, pools;
 };
 

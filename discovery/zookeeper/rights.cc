@@ -79,7 +79,7 @@ class RightsRenewal {
       const std::string above = paths_.sensors.substr(0, end);
       renew(chroot + above, above, "");
     }
-    for (const std::string& branch : branches()) walk(branch, "");
+    for (const std::string& branch : paths_.branches()) walk(branch, "");
     return done_;
   }
 
@@ -124,7 +124,7 @@ class RightsRenewal {
   /// Removes a node below a branch that keeps masters out, or notes that it cannot be. \return false: it is a branch,
   /// or above them, so this user is none that the fleet knows
   bool take_away(const std::string& full, const std::string& path) {
-    const auto branches = this->branches();
+    const auto branches = paths_.branches();
     if (std::none_of(branches.begin(), branches.end(),
                      [&](const auto& branch) { return path.starts_with(branch + "/"); }))
       return false;
@@ -137,10 +137,6 @@ class RightsRenewal {
       must(code, full);
     }
     return true;
-  }
-
-  std::vector<std::string> branches() const {
-    return {paths_.sensors, paths_.gateways, paths_.topologies, paths_.groups, paths_.masters()};
   }
 
   /// The gateway that has an instance's records: that of the node above, that which has all rights on it until now, or

@@ -232,10 +232,13 @@ TEST_P(FleetAccess, ANameThatAThiefHasSeizedBeforeAnybodyTookItIsFreeOnceTheRigh
   const std::string empty = paths_.driver("lamp"_driver), full = paths_.driver("heater"_driver);
   for (const std::string& path : {empty, full, full + "/1", paths_.gateway("g3"_gateway)})
     ASSERT_EQ(thief.create(path), ZOK) << path;
+  const std::string pool = paths_.pool(PoolId("p1"));
+  master->create(paths_.pools, "");
+  ASSERT_EQ(BareClient(options_of("workers").url, "workers").create(pool), ZOK) << "by the thief of a worker";
   const auto take = [&] { put(*one, paths_.instance("lamp"_driver, "g1"_instance), "record"); };
   EXPECT_EQ(code_of(take), Code::denied) << "the attack";
   const auto done = renew_rights(options_of("masters"), paths_);
-  EXPECT_THAT(done.removed, testing::UnorderedElementsAre(empty, paths_.gateway("g3"_gateway)));
+  EXPECT_THAT(done.removed, testing::UnorderedElementsAre(empty, paths_.gateway("g3"_gateway), pool));
   EXPECT_THAT(done.foreign, testing::ElementsAre(full)) << "which it says";
   take();
   put(*one, paths_.instance("turtle"_driver, "g1"_instance), "as before");
