@@ -295,9 +295,9 @@ class HttpConnectionOver final : public HttpConnection,
 }  // namespace
 
 struct HttpServer::Impl {
-  Impl(const PageSettings& settings, Pages handlers)
+  Impl(const PageSettings& settings, Pages handlers, const config::Clock& clock)
       : pages(std::move(handlers)),
-        guard(settings),
+        guard(settings, clock),
         host(HttpAddress(settings.address).host),
         look_period(settings.look_period),
         acceptor(io) {
@@ -399,9 +399,10 @@ struct HttpServer::Impl {
   std::thread thread;
 };
 
-HttpServer::HttpServer(const PageSettings& settings, std::map<std::string, HttpHandler> pages) {
+HttpServer::HttpServer(const PageSettings& settings, std::map<std::string, HttpHandler> pages,
+                       const config::Clock& clock) {
   try {
-    impl_ = std::make_unique<Impl>(settings, std::move(pages));
+    impl_ = std::make_unique<Impl>(settings, std::move(pages), clock);
   } catch (const std::exception& e) {
     throw config::Error("pages cannot be served at " + settings.address + " (" + e.what() +
                         "); is the address of the form host:port, and the port free?");

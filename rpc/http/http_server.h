@@ -6,6 +6,7 @@
 #include <string>
 #include <utility>
 
+#include <iotcloud/config/clock.h>
 #include <iotcloud/rpc/http/page_settings.h>
 
 namespace iotcloud::rpc {
@@ -36,7 +37,9 @@ class HttpServer {
   /// \param settings with an address "host:port", for example "127.0.0.1:9100"; port 0: any free port.
   /// \param pages the handler of each path, kept until the destructor ends.
   /// \throws Error when the address cannot be read or bound, or may not be served with these settings.
-  HttpServer(const PageSettings& settings, std::map<std::string, HttpHandler> pages);
+  /// \param clock by which token files are looked at and tries of tokens are counted. Outlives the server.
+  HttpServer(const PageSettings& settings, std::map<std::string, HttpHandler> pages,
+             const config::Clock& clock = config::system_clock());
   /// The same without TLS and tokens.
   HttpServer(const std::string& address, std::map<std::string, HttpHandler> pages)
       : HttpServer(PageSettings{address, {}, ""}, std::move(pages)) {}

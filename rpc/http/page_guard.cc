@@ -15,9 +15,12 @@ std::string token_in(std::string_view authorization) {
 
 }  // namespace
 
-PageGuard::PageGuard(PageSettings settings) : settings_(std::move(settings)), tls_("pages", settings_.tls) {
+PageGuard::PageGuard(PageSettings settings, const config::Clock& clock)
+    : settings_(std::move(settings)),
+      tries_(usual_token_tries(std::chrono::milliseconds{0}), clock),
+      tls_("pages", settings_.tls) {
   if (const std::string problem = exposure(settings_); !problem.empty()) throw config::Error(problem);
-  if (!settings_.tokens.empty()) tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens, "pages");
+  if (!settings_.tokens.empty()) tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens, "pages", clock);
 }
 
 void PageGuard::reload() {

@@ -17,7 +17,7 @@ namespace iotcloud::rpc {
 class PageGuard {
  public:
   /// \throws config::Error for unusable files, and if exposure() gives a reason.
-  explicit PageGuard(PageSettings settings);
+  explicit PageGuard(PageSettings settings, const config::Clock& clock = config::system_clock());
   /// Reads certificates again, then tokens. \throws config::Error; an unusable file and later ones count as before.
   void reload();
 
@@ -37,7 +37,7 @@ class PageGuard {
   const PageSettings settings_;
   std::unique_ptr<security::TokenKeeper> tokens_;  ///< null: readers need no token
   /// The pages have one thread, so a try does not wait for its turn.
-  mutable CallLimits tries_{usual_token_tries(std::chrono::milliseconds{0})};
+  mutable CallLimits tries_;
   security::ServerTls tls_;
 };
 
