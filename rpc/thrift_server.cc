@@ -238,8 +238,9 @@ struct ThriftServer::Impl {
   bool make_room() {
     limit_each();
     const auto most = static_cast<std::size_t>(options.max_connections);
-    if (clients.size() < most) return true;
     if (clients.size() >= 2 * most) return false;  // cut connections have not ended yet
+    const auto live = std::count_if(clients.begin(), clients.end(), [](const Client& one) { return !one.evicted; });
+    if (static_cast<std::size_t>(live) < most) return true;
     for (auto& client : clients) {
       if (client.evicted || !client.connection.is_stranger()) continue;
       client.evicted = true;

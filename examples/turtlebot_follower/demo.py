@@ -24,7 +24,7 @@ import report  # noqa: E402
 
 SKIPPED = 77  # exit status when a server is unavailable
 MOST_ROBOTS = 32
-MOST_START_S = 60
+MOST_START_S = 120
 
 
 def fleet(options, out):
@@ -70,12 +70,14 @@ def arguments():
 
 
 def await_answers(robots, alive):
-    """Waits until each robot has had its first command: a server and a topology take a while to start."""
+    """Waits until each robot has had its first command: a server and a topology take a while to start. Returns whether
+    they had it."""
     limit = time.monotonic() + MOST_START_S
     while alive() and time.monotonic() < limit:
         if all(any(row.answered for row in report.read_trace(robot.trace)) for robot in robots):
-            return
+            return True
         time.sleep(0.1)
+    return False
 
 
 def progress(robots):
@@ -93,16 +95,46 @@ def progress(robots):
             f"answered {len(answered)} of the last {len(rows)}")
 
 
-def follow_progress(robots, seconds, alive):
+class WallClock:
+    """How long the robots have been following."""
+
+    def __init__(self):
+        self.begin = time.monotonic()
+
+    def elapsed(self):
+        return time.monotonic() - self.begin
+
+    def stands_still(self):
+        return False
+
+
+class WorldClock:
+    """The same in the time of simulated worlds that wait for commands, which may be slower: that of the slowest."""
+
+    def __init__(self, robots):
+        self.traces = [robot.trace for robot in robots]
+        self.begin = [report.read_trace(trace)[0].seconds for trace in self.traces]
+        self.newest = (0.0, time.monotonic())
+
+    def elapsed(self):
+        last = [report.read_trace(trace, last=1)[0].seconds for trace in self.traces]
+        elapsed = min(end - begin for begin, end in zip(self.begin, last))
+        if elapsed > self.newest[0]:
+            self.newest = (elapsed, time.monotonic())
+        return elapsed
+
+    def stands_still(self):
+        return time.monotonic() - self.newest[1] > MOST_START_S
+
+
+def follow_progress(robots, seconds, clock, alive):
     """Prints one live line while the robots follow; returns when the time is over or a process died."""
-    begin = time.monotonic()
     tty = sys.stdout.isatty()
     next_line = 0.0
-    while time.monotonic() - begin < seconds:
-        if not alive():
+    while (elapsed := clock.elapsed()) < seconds:
+        if not alive() or clock.stands_still():
             break
         time.sleep(0.2)
-        elapsed = time.monotonic() - begin
         if not tty and elapsed < next_line:
             continue
         next_line = elapsed + 5
@@ -137,8 +169,9 @@ def main():
     try:
         with mode(options.build, out, options.broker) as running:
             running.begin(robots)
-            await_answers(robots, lambda: running.dead() is None)
-            follow_progress(robots, options.seconds, lambda: running.dead() is None)
+            answers = await_answers(robots, lambda: running.dead() is None)
+            clock = WorldClock(robots) if options.lockstep and answers else WallClock()
+            follow_progress(robots, options.seconds, clock, lambda: running.dead() is None)
             measured = running.finish()
     except modes.Unavailable as error:
         print(f"left out: {error}", file=sys.stderr)

@@ -520,7 +520,15 @@ TEST_F(LimitedAccess, OneTokenHasSoManyConnectionsAndTakesNobodysPlace) {
   ASSERT_TRUE(is_answered(admin));
   std::vector<wire::TMasterAPIServiceClient> all;
   for (int i = 0; i < 20; ++i) {
-    all.push_back(connect(viewer_));
+    // The server refuses one while it has not noted yet that it has answered the others.
+    ASSERT_TRUE(tests::eventually([&] {
+      try {
+        all.push_back(connect(viewer_));
+        return true;
+      } catch (const TTransportException&) {
+        return false;
+      }
+    }));
     ASSERT_TRUE(is_answered(all.back()));
   }
   auto operating = connect(operating_);  // the server looks when the next one comes
