@@ -106,10 +106,8 @@ int RegistryAccess::of_worker(const std::string& path) const {
   if (!is_at_or_below(path, paths_.topologies)) {
     return is_below(path, paths_.gateways) && is_of_orders(path) ? 0 : read;
   }
-  const auto is_order = [&](const std::string& name) {
-    return path.ends_with(name) && path.size() > paths_.topologies.size() + name.size();
-  };
-  return is_order("/wanted") || is_order("/submitted") ? read : all;
+  const auto level = std::count(path.begin() + static_cast<std::ptrdiff_t>(paths_.topologies.size()), path.end(), '/');
+  return level == 2 && path.ends_with("/wanted") ? read : all;
 }
 
 }  // namespace iotcloud::discovery

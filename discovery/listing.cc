@@ -178,16 +178,18 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
     }
   }
   std::vector<TopologyStatus> topologies;
+  std::map<TopologyName, std::optional<Node>> nodes;
   const auto all = below(registry, {paths.topologies});
-  const auto nodes = registry.get_all(all);
-  for (std::size_t i = 0; i < all.size(); ++i) {
-    if (!nodes[i]) continue;
-    const TopologyName name(name_of(all[i]));
+  auto found = registry.get_all(all);
+  for (std::size_t i = 0; i < all.size(); ++i) nodes.emplace(name_of(all[i]), std::move(found[i]));
+  for (const auto& [name, submission] : submissions) nodes.try_emplace(name);
+  for (const auto& [name, node] : nodes) {
     const auto submitted = submissions.find(name);
     // Without a record, a submitted topology is one that no worker has run yet, or, if it was killed, none any more.
-    const bool bare = nodes[i]->data.empty() && submitted != submissions.end();
+    const bool bare = !node || node->data.empty();
+    if (bare && submitted == submissions.end()) continue;
     if (bare && submitted->second.submission.killed && places[name].empty()) continue;
-    const auto record = bare ? std::optional(TopologyRecord{}) : record_of(nodes[i], all[i], decode_topology);
+    const auto record = bare ? std::optional(TopologyRecord{}) : record_of(node, paths.topology(name), decode_topology);
     if (!record) continue;
     TopologyStatus status;
     status.record = *record;
@@ -195,7 +197,7 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
     status.workers = list_workers(registry, paths, name);
     const std::string path = paths.topology_order(name);
     try {
-      if (const auto node = registry.get(path)) status.order = decode_topology_order(node->data, path);
+      if (const auto order = registry.get(path)) status.order = decode_topology_order(order->data, path);
     } catch (const config::Error& error) {
       if (dynamic_cast<const RegistryError*>(&error) != nullptr) throw;
       listing_logger.warn("skipped: {}", error.what());
@@ -232,16 +234,7 @@ bool remove_topology(Registry& registry, const Paths& paths, const TopologyName&
     if (error.code() == RegistryErrorCode::not_empty) return false;
     throw;
   }
-  const std::string path = paths.topology(topology);
-  const std::string submission = paths.submission(topology);
-  if (!registry.get(submission)) {
-    remove_tree(registry, path, fence);
-    return true;
-  }
-  for (const auto& child : below(registry, {path})) {
-    if (child != submission && child != paths.topology_history(topology)) remove_tree(registry, child, fence);
-  }
-  registry.set(path, "", -1, fence);
+  remove_tree(registry, paths.topology(topology), fence);
   return true;
 }
 

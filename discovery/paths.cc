@@ -33,13 +33,15 @@ Paths::Paths(std::string sensors_root) : sensors(std::move(sensors_root)) {
   topologies = parent + "/topologies";
   groups = parent + "/groups";
   pools = parent + "/pools";
-  for (const std::string& taken : {gateways, topologies, groups, pools, masters()}) {
-    if (sensors == taken) throw config::Error("zk.root: \"" + sensors + "\" is taken by records of another kind");
+  submissions = parent + "/submissions";
+  const auto others = branches();
+  for (auto taken = others.begin() + 1; taken != others.end(); ++taken) {
+    if (sensors == *taken) throw config::Error("zk.root: \"" + sensors + "\" is taken by records of another kind");
   }
 }
 
 std::vector<std::string> Paths::branches() const {
-  return {sensors, gateways, topologies, groups, pools, masters()};
+  return {sensors, gateways, topologies, groups, pools, submissions, masters()};
 }
 
 std::string Paths::driver(const DriverName& driver) const {
@@ -88,10 +90,10 @@ std::string Paths::ended_workers(const TopologyName& topology) const {
   return this->topology(topology) + "/ended";
 }
 std::string Paths::submission(const TopologyName& topology) const {
-  return this->topology(topology) + "/submitted";
+  return below(submissions, topology) + "/wanted";
 }
 std::string Paths::topology_history(const TopologyName& topology) const {
-  return this->topology(topology) + "/history";
+  return below(submissions, topology) + "/history";
 }
 std::string Paths::places(const TopologyName& topology) const {
   return this->topology(topology) + "/places";

@@ -334,8 +334,8 @@ struct Paths {
   std::string topology_order(const TopologyName& topology) const;  ///< `/iot/topologies/<name>/wanted`
   /// Below it each worker that was killed leaves a persistent node of its name: empty, or why it did not drain.
   std::string ended_workers(const TopologyName& topology) const;
-  std::string submission(const TopologyName& topology) const;        ///< `/iot/topologies/<name>/submitted`
-  std::string topology_history(const TopologyName& topology) const;  ///< `/iot/topologies/<name>/history`
+  std::string submission(const TopologyName& topology) const;        ///< `/iot/submissions/<name>/wanted`
+  std::string topology_history(const TopologyName& topology) const;  ///< `/iot/submissions/<name>/history`
   /// `/iot/topologies/<name>/places`: below it, by number, the places of workers that pools hold (ephemeral).
   std::string places(const TopologyName& topology) const;
   std::string place(const TopologyName& topology, int number) const;
@@ -346,6 +346,7 @@ struct Paths {
   /// The nodes below which all records are: each kind of them has one.
   std::vector<std::string> branches() const;
   std::string sensors, gateways, topologies, groups, pools;
+  std::string submissions;  ///< only masters change what is below it
 };
 
 /// A new instance id: a random UUID without dashes.

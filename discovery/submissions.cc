@@ -74,8 +74,7 @@ std::vector<PoolRecord> list_pools(Registry& registry, const Paths& paths) {
 
 std::map<TopologyName, StandingSubmission> list_submissions(Registry& registry, const Paths& paths) {
   std::map<TopologyName, StandingSubmission> found;
-  const std::string below = paths.submission(TopologyName("t")).substr(paths.topology(TopologyName("t")).size());
-  for_each_node(registry, paths.topologies, below,
+  for_each_node(registry, paths.submissions, "/wanted",
                 [&](const std::string& name, const std::string& path, const Node& node) {
                   auto submission = decode_submission(node.data, path);
                   if (submission.name != name) {

@@ -37,7 +37,7 @@ struct TopologyVersion {
   friend bool operator==(const TopologyVersion&, const TopologyVersion&) = default;
 };
 
-/// A topology that the pools run: persistent node `/iot/topologies/<name>/submitted`. The leading master writes it. The
+/// A topology that the pools run: persistent node `/iot/submissions/<name>/wanted`. The leading master writes it. The
 /// pools share its worker places, 0 to `workers` - 1, among themselves. A node that vanishes ends no worker: only
 /// `killed` does.
 struct Submission {
@@ -130,7 +130,7 @@ struct TopologyEvent {
   friend bool operator==(const TopologyEvent&, const TopologyEvent&) = default;
 };
 
-/// The latest events of a topology, the oldest first: persistent node `/iot/topologies/<name>/history`. Masters write
+/// The latest events of a topology, the oldest first: persistent node `/iot/submissions/<name>/history`. Masters write
 /// it; it stays when the topology is killed.
 struct TopologyHistory {
   static constexpr std::size_t most = 100;

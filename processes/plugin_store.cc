@@ -137,8 +137,8 @@ void PluginStore::Impl::check(const Offer& offer) const {
     throw config::Error(fmt::format("{}: a SHA-256 has 64 hexadecimal digits in lower case", offer.file));
   if (offer.size < 1) throw config::Error(fmt::format("{} is empty", offer.file));
   if (offer.size > options.most_bytes)
-    throw config::Error(fmt::format("{} has {} bytes; plugins of {} at most are taken here (plugins.upload_limit_mb)",
-                                    offer.file, offer.size, options.most_bytes));
+    throw config::Error(fmt::format("{} has {} bytes; files of {} at most are taken here ({})", offer.file, offer.size,
+                                    options.most_bytes, options.limit_key));
   if (!offer.signature.empty() && !security::is_plugin_signature(offer.signature))
     throw config::Error(
         fmt::format("{}: its signature has {} bytes, an Ed25519 signature has {}, after a line with name "

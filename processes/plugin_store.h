@@ -24,6 +24,7 @@ class PluginStore {
   struct Options {
     std::string folder;  ///< made when it is missing; only its owner may write there
     std::int64_t most_bytes = std::int64_t{64} << 20;
+    std::string limit_key = "plugins.upload_limit_mb";   ///< where the daemon's file says so
     int most_uploads = 4;                                ///< at the same time
     std::chrono::milliseconds idle_limit{60'000};        ///< an upload without a call for this long ends
     std::chrono::milliseconds unnamed_limit{600'000};    ///< a plugin that no order has named for this long is removed

@@ -168,7 +168,7 @@ OrderResult Submissions::submit_checked(const SubmitRequest& request) {
   auto result = await_running(given, 0, given.workers, request.wait);
   const bool failed = std::any_of(result.outcomes.begin(), result.outcomes.end(),
                                   [](const auto& outcome) { return outcome.outcome == OrderOutcome::failed; });
-  if (failed && mark_killed(request.topology, milliseconds{0}, *lead)) {
+  if (failed && !mark_killed(request.topology, milliseconds{0}, *lead)) {
     const bool gone = await_end(request.topology, take_back_limit);
     if (gone) discovery::remove_topology(desk_.registry, desk_.options.paths, request.topology, lead->fence);
     for (auto& outcome : result.outcomes) {
@@ -336,8 +336,18 @@ OrderResult Submissions::go_back(const Submission& failed, const WaitLimit& wait
   return result;
 }
 
-bool Submissions::mark_killed(const TopologyName& topology, milliseconds drain, const Lead& lead) {
-  const auto refusal = rewrite(topology, lead, [&](Submission& submission) -> std::optional<OrderResult> {
+bool Submissions::stands(const TopologyName& topology) {
+  const auto& paths = desk_.options.paths;
+  const std::string path = paths.submission(topology);
+  const auto node = desk_.registry.get(path);
+  if (!node) return false;
+  const auto places = desk_.registry.children(paths.places(topology));
+  return !discovery::decode_submission(node->data, path).killed || (places && !places->empty());
+}
+
+std::optional<OrderResult> Submissions::mark_killed(const TopologyName& topology, milliseconds drain,
+                                                    const Lead& lead) {
+  return rewrite(topology, lead, [&](Submission& submission) -> std::optional<OrderResult> {
     if (submission.killed && submission.last_number == 0) return refuse_not_submitted(topology);
     submission.killed = true;
     submission.drain_ms = drain.count();
@@ -348,7 +358,6 @@ bool Submissions::mark_killed(const TopologyName& topology, milliseconds drain, 
     submission.pending = 0;
     return std::nullopt;
   });
-  return !refusal;
 }
 
 bool Submissions::await_end(const TopologyName& topology, milliseconds limit) {

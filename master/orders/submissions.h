@@ -28,10 +28,13 @@ class Submissions {
   /// Updates to the version before the last update. Does not throw.
   OrderResult roll_back(const RollbackRequest& request);
 
-  /// Marks a topology as killed, so that no pool starts a worker of it any more. \return false if it is not submitted.
-  /// \throws discovery::RegistryError
-  bool mark_killed(const discovery::TopologyName& topology, std::chrono::milliseconds drain,
-                   const discovery::Lead& lead);
+  /// Whether a topology is submitted and was not killed, or a pool still has a place of it. \throws
+  /// discovery::RegistryError
+  bool stands(const discovery::TopologyName& topology);
+  /// Marks a topology as killed, so that no pool starts a worker of it any more. \return nullopt if it was marked;
+  /// OrderRefusal::unknown_topology if it is not submitted. \throws discovery::RegistryError
+  std::optional<OrderResult> mark_killed(const discovery::TopologyName& topology, std::chrono::milliseconds drain,
+                                         const discovery::Lead& lead);
   /// Waits until no pool has a place of it any more. \return false if `limit` passed first
   bool await_end(const discovery::TopologyName& topology, std::chrono::milliseconds limit);
   /// Adds to the topology's history what was ordered last, with its outcome. Does not throw.

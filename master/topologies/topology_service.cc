@@ -92,7 +92,7 @@ std::optional<TopologyResult> TopologyService::refuse_unknown_topology(const dis
     const auto record = desk_.registry.get(desk_.options.paths.topology(name));
     if (record && (!record->data.empty() || desk_.registry.get(desk_.options.paths.topology_order(name))))
       return std::nullopt;
-    if (record && desk_.registry.get(desk_.options.paths.submission(name))) return std::nullopt;
+    if (submissions_.stands(name)) return std::nullopt;
   }
   std::vector<discovery::TopologyName> known;
   for (const auto& topology : discovery::list_topologies(desk_.registry, desk_.options.paths))
@@ -180,7 +180,11 @@ TopologyResult TopologyService::follow(const TopologyRequest& request) {
   if (auto refusal = refuse_unknown_topology(request.topology)) return *refusal;
   const bool kill = request.change == TopologyChange::kill;
   // From now on the pools start no worker of it, and none again.
-  const bool submitted = kill && submissions_.mark_killed(request.topology, request.drain, *lead);
+  const auto not_marked =
+      kill ? submissions_.mark_killed(request.topology, request.drain, *lead) : std::optional<OrderResult>();
+  if (not_marked && not_marked->refusal != OrderRefusal::unknown_topology)
+    return refuse_topology(not_marked->refusal, not_marked->text);
+  const bool submitted = kill && !not_marked;
   const auto workers = discovery::list_workers(desk_.registry, desk_.options.paths, request.topology);
   if (request.change == TopologyChange::rebalance) {
     if (workers.empty())

@@ -270,6 +270,15 @@ TEST_P(FleetAccess, MastersMayDoEverythingAndWorkersTheirTopologiesOnly) {
   denied([&] { worker->set(paths_.channel("turtle"_driver, "g1"_instance, "kinect"), "forged"); });
   denied([&] { worker->remove(paths_.channel("turtle"_driver, "g1"_instance, "kinect")); });
   denied([&] { worker->create(paths_.gateway("g1"_gateway) + "/frozen", "forged"); });
+  put(*master, paths_.submission("t"_topology), "submitted");
+  put(*master, paths_.topology_history("t"_topology), "submitted once");
+  EXPECT_EQ(worker->get(paths_.submission("t"_topology))->data, "submitted");
+  for (const std::string& path : {paths_.submission("t"_topology), paths_.topology_history("t"_topology)}) {
+    denied([&] { worker->set(path, "forged"); });
+    denied([&] { worker->remove(path); });
+  }
+  denied([&] { worker->create(paths_.submissions + "/u", ""); });
+  denied([&] { worker->create(paths_.submissions + "/t/other", ""); });
   worker->remove(paths_.topology_order("t"_topology));  // as the last one of a killed topology; SECURITY.md
 
   remove_tree(*master, paths_.sensors);

@@ -114,7 +114,8 @@ TEST_F(SubmissionsTest, LeaveTheirMarkAndTheirHistoryWhenTheirTopologyIsRemoved)
   killed.killed = true;
   put_submission(killed);
   EXPECT_TRUE(remove_topology(*registry_, paths_, "t"_topology));
-  EXPECT_THAT(*registry_->children(paths_.topology("t"_topology)), ElementsAre("history", "submitted"));
+  EXPECT_EQ(registry_->get(paths_.topology("t"_topology)), std::nullopt);
+  EXPECT_THAT(*registry_->children(paths_.submissions + "/t"), testing::UnorderedElementsAre("history", "wanted"));
   EXPECT_THAT(list_topologies(*registry_, paths_), IsEmpty());
 }
 
@@ -132,8 +133,12 @@ TEST(SubmissionRights, OnlyMastersSubmitAndPoolsKeepTheirOwnRecords) {
   };
   EXPECT_EQ(rights(paths.submission("t"_topology), "m"), RegistryAccess::all);
   EXPECT_EQ(rights(paths.submission("t"_topology), "w"), RegistryAccess::read);
-  EXPECT_EQ(rights(paths.submission("submitted"_topology), "w"), RegistryAccess::read);
-  EXPECT_EQ(rights(paths.topology("submitted"_topology), "w"), RegistryAccess::all);
+  EXPECT_EQ(rights(paths.topology_history("t"_topology), "w"), RegistryAccess::read);
+  // Who may create and remove is said by the node above.
+  EXPECT_EQ(rights(paths.submissions, "w"), RegistryAccess::read);
+  EXPECT_EQ(rights(paths.submissions + "/t", "w"), RegistryAccess::read);
+  EXPECT_EQ(rights(paths.topology("wanted"_topology), "w"), RegistryAccess::all);
+  EXPECT_EQ(rights(paths.topology_order("t"_topology), "w"), RegistryAccess::read);
   EXPECT_EQ(rights(paths.place("t"_topology, 0), "w"), RegistryAccess::all);
   EXPECT_EQ(rights(paths.pool(PoolId("p1")), "w"), RegistryAccess::all);
   EXPECT_EQ(rights(paths.pool(PoolId("p1")), "g"), RegistryAccess::read);

@@ -52,6 +52,7 @@ class MasterBackup : public testing::Test {
   void wipe() {
     discovery::remove_tree(*registry, paths.gateways);
     discovery::remove_tree(*registry, paths.topologies);
+    discovery::remove_tree(*registry, paths.submissions);
   }
   /// What stands in the registry now, without what differs between masters and times.
   Backup standing() {

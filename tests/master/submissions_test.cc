@@ -235,6 +235,7 @@ TEST_F(Submissions, AreEndedByAKillAndTheirNameIsFree) {
   EXPECT_THAT(master_->topologies(), IsEmpty());
   EXPECT_TRUE(standing().killed);
   EXPECT_THAT(standing().version.yaml, IsEmpty());
+  EXPECT_EQ(kill().refusal, OrderRefusal::unknown_topology) << "the mark that stays is no topology";
   EXPECT_THAT(update("two").text, HasSubstr("is not submitted"));
   EXPECT_TRUE(submit(1, "again").all_done());
   EXPECT_EQ(standing().version.number, 2);

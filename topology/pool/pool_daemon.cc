@@ -27,6 +27,7 @@ class PoolDaemon final : public config::DaemonService {
     processes::PluginStore::Options store;
     store.folder = state_->path() + "/libraries";
     store.most_bytes = config_.upload_limit;
+    store.limit_key = "libraries.upload_limit_mb";
     store.trust = config_.library_keys;
     const auto libraries = std::make_shared<processes::PluginStore>(store);
     config_.workers.store = config_.service.libraries = config_.pool.libraries = libraries;

@@ -39,8 +39,8 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
                       [&](const std::string& name) { return self.options.paths.pools + "/" + name; });
         })));
     guards.push_back(options.registry->watch_children(
-        options.paths.topologies,
-        later<const Names&>([](Impl& self, const Names& names) { self.follow_topologies(names); })));
+        options.paths.submissions,
+        later<const Names&>([](Impl& self, const Names& names) { self.follow_submissions(names); })));
   }
 
   /// A callback that does nothing any more when the watch is gone.
@@ -69,7 +69,7 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
     look_soon();
   }
 
-  void follow_topologies(const Names& names) {
+  void follow_submissions(const Names& names) {
     follow(names, submissions, [&](const std::string& name) { return options.paths.submission(TopologyName(name)); });
     std::erase_if(places, [&](const auto& one) { return !submissions.contains(one.first); });
     for (const auto& [name, guard] : submissions) {

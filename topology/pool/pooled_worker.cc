@@ -47,8 +47,8 @@ void PooledWorker::probe_with(Probe probe) {
 
 void PooledWorker::leave_word(const std::string& folder, bool refused, const std::string& reason) noexcept try {
   const std::string path = folder + "/" + pooled::end_name;
-  // The pool made the file, because the worker's account may have no right to make one there.
-  const processes::OwnedDescriptor file(open(path.c_str(), O_WRONLY | O_TRUNC | O_CLOEXEC));
+  constexpr mode_t only_owner = 0600;
+  const processes::OwnedDescriptor file(open(path.c_str(), O_WRONLY | O_CREAT | O_TRUNC | O_CLOEXEC, only_owner));
   if (file) processes::write_all(file, pooled::encode(pooled::WorkerEnd{refused, reason}), path);
 } catch (const std::exception& error) {
   pool_logger.warn("no word is left for the pool: {}", error.what());

@@ -103,7 +103,6 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
   std::optional<processes::ChildProcess> process;
   try {
     write_file(folder + "/" + pooled::yaml_name, order.version.yaml);
-    write_file(folder + "/" + pooled::end_name, "");
     write_file(pooled::spec_path(folder), pooled::encode(spec));
     // clang-format off
     std::vector<std::string> arguments = {

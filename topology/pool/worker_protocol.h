@@ -58,8 +58,8 @@ struct WorkerSpec {
   discovery::PlaceId place_id() const { return {topology, place}; }
 };
 
-/// The file `end.json`, which the pool makes and the worker fills: why the worker ends. It stays empty when the worker
-/// crashes, or ends because it was told to.
+/// The file `end.json`, which the worker makes: why it ends. There is none when the worker crashes, or ends because it
+/// was told to.
 struct WorkerEnd {
   bool refused = false;  ///< the topology cannot run here: to start it again would not help
   std::string reason;

@@ -107,6 +107,10 @@ class Submit final : public Verb {
   [[noreturn]] void become_storm() const {
     std::vector<std::string> words{"submit", file_};
     if (request_.workers > 0) words.insert(words.end(), {"--workers", std::to_string(request_.workers)});
+    if (request_.wait) {
+      const auto limit = std::chrono::ceil<std::chrono::seconds>(*request_.wait);
+      words.insert(words.end(), {"--limit", std::to_string(limit.count())});
+    }
     const auto more = options_->remaining();
     words.insert(words.end(), more.begin(), more.end());
     become_sibling("iotcloud-storm", words);
