@@ -6,11 +6,36 @@ namespace iotcloud::rpc {
 
 using config::Clock;
 
+namespace {
+
+constexpr std::size_t few_accounts = 1'000;
+
+}  // namespace
+
 std::shared_ptr<CallLimits::Account> CallLimits::account(const std::string& identity) {
   const config::MutexLock lock(mutex_);
+  if (accounts_.size() >= forget_at_ && !accounts_.contains(identity)) forget_idle();
   auto& account = accounts_[identity];
   if (!account) account = std::make_shared<Account>();
   return account;
+}
+
+/// Removes accounts that say nothing which a new one would not say: none of their calls runs or waits, and none is
+/// owed.
+void CallLimits::forget_idle() {
+  const auto now = clock_.now();
+  std::erase_if(accounts_, [&](const auto& entry) {
+    Account& account = *entry.second;
+    if (entry.second.use_count() > 1) return false;  // of a call
+    const config::MutexLock lock(account.mutex);
+    return account.due <= now;
+  });
+  forget_at_ = 2 * accounts_.size() + few_accounts;
+}
+
+std::size_t CallLimits::remembered() const {
+  const config::MutexLock lock(mutex_);
+  return accounts_.size();
 }
 
 std::shared_ptr<void> CallLimits::enter(const std::string& identity) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <map>
 #include <memory>
 #include <string>
@@ -31,6 +32,8 @@ class CallLimits {
   /// Waits for the turn of a call. \return an object to hold until its answer was taken; null: its turn would come too
   /// late. May outlive this object.
   std::shared_ptr<void> enter(const std::string& identity);
+  /// How many identities are remembered: those that have called lately, and as many or a thousand others.
+  std::size_t remembered() const;
 
  private:
   /// The calls of one identity.
@@ -42,11 +45,13 @@ class CallLimits {
     config::Clock::Instant due IOTCLOUD_GUARDED_BY(mutex);
   };
   std::shared_ptr<Account> account(const std::string& identity) IOTCLOUD_EXCLUDES(mutex_);
+  void forget_idle() IOTCLOUD_REQUIRES(mutex_);
 
   const Options options_;
   const config::Clock& clock_;
-  config::Mutex mutex_;
+  mutable config::Mutex mutex_;
   std::map<std::string, std::shared_ptr<Account>> accounts_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::size_t forget_at_ IOTCLOUD_GUARDED_BY(mutex_) = 0;  ///< with so many accounts those that are idle go
 };
 
 /// The limits of each identity's calls, by its role.

@@ -216,11 +216,13 @@ class HttpConnectionOver final : public HttpConnection,
     return HttpAnswer{401, "text/plain", "these pages ask for a token: send the header Authorization: Bearer TOKEN\n"};
   }
 
-  /// Who shares the limit of tries: the holders of one certificate, or what comes from one host.
+  /// Who shares the limit of tries: the holders of one certificate, or what comes from one host. All addresses of
+  /// loopback are this host.
   std::string caller() {
     if (const std::string subject = certificate(); !subject.empty()) return subject;
     error_code ignored;
-    return socket_stream().socket().remote_endpoint(ignored).address().to_string();
+    const auto address = socket_stream().socket().remote_endpoint(ignored).address();
+    return address.is_loopback() ? "localhost" : address.to_string();
   }
 
   std::string certificate() {

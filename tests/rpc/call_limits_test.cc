@@ -54,5 +54,20 @@ TEST(CallLimits, OneWhoseTurnDoesNotComeInTimeIsRefused) {
   EXPECT_FALSE(limits.enter("vera"));
 }
 
+TEST(CallLimits, WhoHasNotCalledForLongIsForgottenAndWhoHasCalledTooOftenIsNot) {
+  LimitsClock clock;
+  CallLimits limits({.at_once = 1'000, .per_second = 10, .longest_wait = milliseconds(0)}, clock);
+  const auto running = limits.enter("otto");
+  for (int i = 0; i < 10'000; ++i) {
+    EXPECT_TRUE(limits.enter(std::to_string(i)));
+    clock.time += std::chrono::seconds(1);
+  }
+  EXPECT_LT(limits.remembered(), 3'000u);
+  while (limits.enter("vera")) {
+  }
+  for (int i = 0; i < 10'000; ++i) EXPECT_TRUE(limits.enter(std::to_string(i)));
+  EXPECT_FALSE(limits.enter("vera"));
+}
+
 }  // namespace
 }  // namespace iotcloud::rpc

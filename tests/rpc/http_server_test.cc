@@ -52,6 +52,13 @@ class Client {
     EXPECT_EQ(setsockopt(fd_, IPPROTO_TCP, TCP_MAXSEG, &segment, sizeof segment), 0);
     EXPECT_EQ(setsockopt(fd_, SOL_SOCKET, SO_RCVBUF, &buffer, sizeof buffer), 0);
   }
+  /// Before reach(): the client has this address of the machine.
+  void come_from(const char* address) const {
+    sockaddr_in from{};
+    from.sin_family = AF_INET;
+    EXPECT_EQ(inet_pton(AF_INET, address, &from.sin_addr), 1);
+    EXPECT_EQ(bind(fd_, reinterpret_cast<const sockaddr*>(&from), sizeof from), 0);
+  }
   void reach(const HttpServer& server) const {
     const std::string address = server.address();
     sockaddr_in to{};
@@ -329,6 +336,20 @@ TEST_F(GuardedPages, AFloodOfTokensOfOneCertificateIsRefusedBeforeTheyAreHashedA
   EXPECT_THAT(refused, HasSubstr("CN=thief tries too many tokens"));
   EXPECT_EQ(read(server, {certificates_.of("operator"), never_shown}), "the page");
   EXPECT_EQ(read(server, {certificates_.of("thief"), token_}), "the page") << "what is known takes no hash";
+}
+
+TEST_F(GuardedPages, AFloodOfTokensFromAllAddressesOfLoopbackIsThatOfOneCaller) {
+  const tests::HandClock still;
+  const HttpServer server({"127.0.0.1:0", {}, settings_.tokens}, pages_, still);
+  const auto answer_to = [&](const std::string& address) {
+    const Client client;
+    client.come_from(address.c_str());
+    client.reach(server);
+    client.say("GET /p HTTP/1.1\r\nHost: here\r\nAuthorization: Bearer " + token_ + "0\r\n\r\n");
+    return client.rest();
+  };
+  for (int i = 1; i <= 20; ++i) EXPECT_THAT(answer_to("127.0.0." + std::to_string(i)), StartsWith("HTTP/1.1 401"));
+  EXPECT_THAT(answer_to("127.0.0.21"), AllOf(StartsWith("HTTP/1.1 429"), HasSubstr("tries too many tokens")));
 }
 
 /// A connection with a certificate that is kept after each answer.
