@@ -282,6 +282,17 @@ TEST_F(GuardedPages, AreReadWithACertificateAndATokenOnly) {
       HasSubstr("does not answer"));
 }
 
+TEST_F(GuardedPages, AreNotReadWithTheTokenThatAThiefHasOfADaemonAndAnotherCertificate) {
+  for (const char* caller : {"master-1", "thief"}) certificates_.authority().certify_caller(caller);
+  const auto of_daemon = certificates_.of("master-1");
+  const std::string token = security::add_token(settings_.tokens, "master-1", security::Role::viewer,
+                                                security::subject_in(of_daemon.certificate));
+  const HttpServer server(settings_, pages_);
+  EXPECT_EQ(read(server, {of_daemon, token}), "the page");
+  EXPECT_THAT(read(server, {certificates_.of("thief"), token}), HasSubstr("Authorization: Bearer"));
+  EXPECT_EQ(read(server, {certificates_.of("thief"), token_}), "the page") << "with a token that counts with any";
+}
+
 TEST_F(GuardedPages, CountAFloodOfBrokenHandshakesAndTellItOnce) {
   auto& refused = config::process_metrics().counter("iotcloud_http_refused_total", "", {{"reason", "tls"}});
   const std::uint64_t refused_before = refused.value();
