@@ -37,13 +37,7 @@ void OrderAudit::work() {
       if (waiting_.empty()) return;
       entries.swap(waiting_);
     }
-    for (auto& entry : entries) {
-      if (entry.event == security::AuditEvent::refused) {
-        log_->write_refused(std::move(entry));
-      } else {
-        log_->write(entry);
-      }
-    }
+    log_->write_all(entries);
   }
 }
 

@@ -142,7 +142,7 @@ AuditLog::~AuditLog() {
     refusals.swap(refusals_);
   }
   for (auto& [identity, allowance] : refusals) {
-    if (allowance.unwritten > 0) write_line(allowance.last, allowance.unwritten - 1);
+    if (allowance.unwritten > 0) write_lines({text_of(allowance.last, allowance.unwritten - 1)});
   }
   const config::MutexLock lock(mutex_);
   close_files(files_);
@@ -191,7 +191,7 @@ AuditHead AuditLog::end_of_chain(const Files& files) const {
 }
 
 bool AuditLog::write(const AuditEntry& entry) {
-  return write_line(entry, 0);
+  return write_lines({text_of(entry, 0)});
 }
 
 void AuditLog::write_begun(AuditEntry entry) {
@@ -204,30 +204,43 @@ void AuditLog::write_begun(AuditEntry entry) {
 
 bool AuditLog::write_refused(AuditEntry entry) {
   entry.event = AuditEvent::refused;
-  std::string identity = !entry.who.empty() ? entry.who : "@" + entry.address.substr(0, entry.address.rfind(':'));
-  std::uint64_t unwritten = 0;
-  {
-    const auto now = clock_.now();
-    const config::MutexLock lock(mutex_);
-    if (refusals_.size() >= most_identities && !refusals_.contains(identity)) identity.clear();
-    const auto [at, fresh] = refusals_.try_emplace(identity, Allowance{refusals_at_once, now, 0, {}});
-    auto& allowance = at->second;
-    const std::chrono::duration<double> passed = now - allowance.since;
-    allowance.left = std::min(refusals_at_once, allowance.left + passed / refusal_period);
-    allowance.since = now;
-    if (allowance.left < 1) {
-      ++allowance.unwritten;
-      allowance.last = std::move(entry);
-      return false;
-    }
-    allowance.left -= 1;
-    unwritten = std::exchange(allowance.unwritten, 0);
-  }
-  write_line(entry, unwritten);
-  return true;
+  const auto unwritten = due(entry);
+  if (unwritten) write_lines({text_of(entry, *unwritten)});
+  return unwritten.has_value();
 }
 
-bool AuditLog::write_line(const AuditEntry& entry, std::uint64_t unwritten) {
+void AuditLog::write_all(const std::vector<AuditEntry>& entries) {
+  std::vector<std::string> texts;
+  for (const auto& entry : entries) {
+    const auto unwritten = entry.event == AuditEvent::refused ? due(entry) : 0;
+    if (unwritten) texts.push_back(text_of(entry, *unwritten));
+  }
+  write_lines(std::move(texts));
+}
+
+/// Counts a refusal of its identity. \return how many refusals before it have no line; nullopt: nor does this one.
+std::optional<std::uint64_t> AuditLog::due(const AuditEntry& refused) {
+  std::string identity =
+      !refused.who.empty() ? refused.who : "@" + refused.address.substr(0, refused.address.rfind(':'));
+  const auto now = clock_.now();
+  const config::MutexLock lock(mutex_);
+  if (refusals_.size() >= most_identities && !refusals_.contains(identity)) identity.clear();
+  const auto [at, fresh] = refusals_.try_emplace(identity, Allowance{refusals_at_once, now, 0, {}});
+  auto& allowance = at->second;
+  const std::chrono::duration<double> passed = now - allowance.since;
+  allowance.left = std::min(refusals_at_once, allowance.left + passed / refusal_period);
+  allowance.since = now;
+  if (allowance.left < 1) {
+    ++allowance.unwritten;
+    allowance.last = refused;
+    return std::nullopt;
+  }
+  allowance.left -= 1;
+  return std::exchange(allowance.unwritten, 0);
+}
+
+/// The line of an entry, without its place in the chain.
+std::string AuditLog::text_of(const AuditEntry& entry, std::uint64_t unwritten) const {
   Json json{{"time", iso_time(clock_.wall_ms())},
             {"event", name_of(entry.event)},
             {"who", entry.who},
@@ -240,18 +253,26 @@ bool AuditLog::write_line(const AuditEntry& entry, std::uint64_t unwritten) {
             {"refused", entry.event == AuditEvent::refused}};
   if (unwritten > 0) json["unwritten"] = unwritten;
   // Text from clients may contain bytes that are not UTF-8.
-  std::string text = json.dump(-1, ' ', false, Json::error_handler_t::replace);
+  return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+/// \return whether all are on the disk
+bool AuditLog::write_lines(std::vector<std::string> texts) {
   const config::MutexLock lock(mutex_);
-  const std::uint64_t own = ++taken_;
-  lines_.push_back({std::move(text), own});
-  while (done_ < own) {
+  const std::uint64_t before = taken_;
+  for (auto& text : texts) lines_.push_back({std::move(text), ++taken_});
+  const std::uint64_t last = taken_;
+  while (done_ < last) {
     if (writing_) {
       written_.wait(mutex_);
     } else {
       write_waiting();
     }
   }
-  return failed_.erase(own) == 0;
+  const auto failed = failed_.upper_bound(before), end = failed_.upper_bound(last);
+  const bool all = failed == end;
+  failed_.erase(failed, end);
+  return all;
 }
 
 /// Writes the lines of all waiting threads, then wakes them.

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 #include <map>
+#include <optional>
 #include <set>
 #include <string>
 #include <vector>
@@ -77,6 +78,9 @@ class AuditLog {
   /// Writes a refusal, within the limit of its identity: the token's name, or the address's host.
   /// \return whether it was written
   bool write_refused(AuditEntry entry) IOTCLOUD_EXCLUDES(mutex_);
+  /// Writes all these lines as write() does, and the refusals among them as write_refused() does, with one wait for the
+  /// disk.
+  void write_all(const std::vector<AuditEntry>& entries) IOTCLOUD_EXCLUDES(mutex_);
   /// Opens the file by its name again, after somebody renamed the old file. When it has returned, nothing is written to
   /// the old file any more. \throws Error, and keeps the old one.
   void reopen() IOTCLOUD_EXCLUDES(mutex_);
@@ -103,7 +107,9 @@ class AuditLog {
   static Files open_files(const std::string& file);
   static void close_files(const Files& files);
   AuditHead end_of_chain(const Files& files) const;
-  bool write_line(const AuditEntry& entry, std::uint64_t unwritten) IOTCLOUD_EXCLUDES(mutex_);
+  std::optional<std::uint64_t> due(const AuditEntry& refused) IOTCLOUD_EXCLUDES(mutex_);
+  std::string text_of(const AuditEntry& entry, std::uint64_t unwritten) const;
+  bool write_lines(std::vector<std::string> texts) IOTCLOUD_EXCLUDES(mutex_);
   void write_waiting() IOTCLOUD_REQUIRES(mutex_);
   std::set<std::uint64_t> append(const Files& files, const std::vector<Line>& lines) noexcept IOTCLOUD_EXCLUDES(mutex_);
   bool append_line(const Files& files, const std::string& text);

@@ -91,6 +91,19 @@ TEST_F(AuditLogTest, LinesThatComeWhileTheDiskIsBusyAreBroughtThereTogether) {
   EXPECT_EQ(log_->waiting(), 0u);
 }
 
+TEST_F(AuditLogTest, LinesThatAreGivenTogetherAreBroughtThereTogetherAndRefusalsHaveTheirLimit) {
+  log_.emplace(file(), [&](int) { return ++syncs_ > 0; });
+  std::vector<AuditEntry> entries(100, order("forged"));
+  for (auto& entry : entries) entry.event = AuditEvent::refused;
+  entries.push_back(order("one on g1"));
+  log_->write_all(entries);
+  EXPECT_EQ(syncs_, 1);
+  EXPECT_EQ(lines(), 21u);
+  EXPECT_THAT(text(), HasSubstr("one on g1"));
+  log_->write_all({});
+  EXPECT_EQ(syncs_, 1) << "nothing to write";
+}
+
 TEST_F(AuditLogTest, TheOldFileGetsNothingMoreOnceTheNewOneIsOpen) {
   std::atomic<bool> synced{false};
   std::jthread reopening;
