@@ -408,6 +408,7 @@ OrderFeed::Instances OrderFeed::without_removal(const Instances& names) {
   const auto nodes = paths.empty() ? std::vector<std::optional<discovery::Node>>() : registry_.get_all(paths);
   Instances unproven;
   std::vector<FollowedOrder> removals;
+  std::vector<discovery::Node> removal_nodes;  // of the same
   std::size_t i = 0;
   for (const auto& instance : missing) {
     const auto& node = nodes[i++];
@@ -416,16 +417,21 @@ OrderFeed::Instances OrderFeed::without_removal(const Instances& names) {
     if (const auto removed = removed_at(instance, node)) {
       removals.push_back(followed(instance, *removed));
       removals.back().removed = true;
-      audit_followed(instance, *node, paths_.removal(gateway_, instance), "removal");
+      removal_nodes.push_back(*node);
     } else {
       unproven.insert(instance);
     }
   }
   done_.add(removals);
+  for (std::size_t at = 0; at < removals.size(); ++at) {
+    const auto& instance = removals[at].instance;
+    audit_followed(instance, removal_nodes[at], paths_.removal(gateway_, instance), "removal");
+  }
   std::erase_if(unproven_, [&](const auto& entry) { return !unproven.contains(entry.first); });
   for (const auto& instance : unproven) {
     if (unproven_.contains(instance)) continue;
-    refuse(instance, "the removal of the order for {}, which no trusted master has signed",
+    refuse(instance, paths_.removal(gateway_, instance),
+           "the removal of the order for {}, which no trusted master has signed",
            "If it is to go: `iotcloud undeploy`; if it is to stay: `iotcloud registry import`");
     watch_removal(instance);
   }
@@ -501,14 +507,14 @@ void OrderFeed::take(const discovery::InstanceId& instance, const discovery::Nod
 void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Node& node) {
   const std::string path = paths_.order(gateway_, instance);
   if (!is_signed(path, node)) {
-    return refuse(instance, "the order for {}, which no trusted master has signed",
+    return refuse(instance, path, "the order for {}, which no trusted master has signed",
                   "If this fleet's orders are older than its keys: `iotcloud registry export`, look at them, and "
                   "`import --replace`");
   }
   const auto order = discovery::decode_order(node.data, path);
   if (due_.contains(instance)) follow_due();
   if (is_out_of_date(order)) {
-    return refuse(instance, "the order for {}, which is out of date: a later one was given",
+    return refuse(instance, path, "the order for {}, which is out of date: a later one was given",
                   "Somebody wrote an old order once more, or a master's clock is wrong. If it is meant: `iotcloud "
                   "undeploy` it and deploy it again, which is a new order");
   }
@@ -574,7 +580,8 @@ void OrderFeed::follow_due() {
     logger.error("{}", e.what());
     for (const auto& [instance, one] : due) {
       initial_.insert(instance);
-      refuse(instance, "the order for {}, because it cannot be written down that it was followed",
+      refuse(instance, paths_.order(gateway_, instance),
+             "the order for {}, because it cannot be written down that it was followed",
              "It is followed when the state folder can be written");
     }
     return read_refused_later();
@@ -612,15 +619,16 @@ bool OrderFeed::is_signed(const std::string& path, const discovery::Node& node) 
   return !masters_ || !security::signer_of_object(*masters_, path, node.data).empty();
 }
 
-/// \param what a format with the instance
-void OrderFeed::refuse(const discovery::InstanceId& instance, const std::string& what, const std::string& advice) {
+/// \param path of what is refused \param what a format with the instance
+void OrderFeed::refuse(const discovery::InstanceId& instance, const std::string& path, const std::string& what,
+                       const std::string& advice) {
   const std::string named = fmt::format(fmt::runtime(what), instance);
   logger.error("refused: {}. What runs goes on as it is. {}", named, advice);
   if (listener_.audit) {
     security::AuditEntry entry;
     entry.event = security::AuditEvent::refused;
     entry.address = "registry";
-    entry.order = paths_.order(gateway_, instance);
+    entry.order = path;
     entry.outcome = named;
     listener_.audit(std::move(entry));
   }

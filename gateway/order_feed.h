@@ -129,7 +129,8 @@ class OrderFeed {
                                          const std::optional<discovery::Node>& node) const;
   void watch_removal(const discovery::InstanceId& instance);
   void clear_removals(const Instances& gone);
-  void refuse(const discovery::InstanceId& instance, const std::string& what, const std::string& advice);
+  void refuse(const discovery::InstanceId& instance, const std::string& path, const std::string& what,
+              const std::string& advice);
   void forget_refusal(const discovery::InstanceId& instance);
   bool is_handled(const discovery::InstanceId& instance, const discovery::Node& node) const;
 

@@ -1,4 +1,5 @@
 // The order in which a gateway hears of its orders, told step by step by a registry that the test controls.
+#include <filesystem>
 #include <functional>
 #include <future>
 #include <map>
@@ -98,8 +99,8 @@ class ToldRegistry final : public discovery::Registry {
 
 class OrderFeedTest : public testing::Test {
  protected:
-  explicit OrderFeedTest(std::shared_ptr<const security::TrustedKeys> masters = nullptr)
-      : masters_(std::move(masters)) {
+  explicit OrderFeedTest(std::shared_ptr<const security::TrustedKeys> masters = nullptr, std::string followed_file = "")
+      : masters_(std::move(masters)), followed_file_(std::move(followed_file)) {
     registry_.nodes[list_] = Node{.data = "", .version = 0, .created = ++created_};
   }
   ~OrderFeedTest() override {
@@ -152,33 +153,37 @@ class OrderFeedTest : public testing::Test {
 
   static constexpr auto pause = 200ms;  ///< how long an order must be gone
   const std::shared_ptr<const security::TrustedKeys> masters_;
+  const std::string followed_file_;
   tests::HandClock clock_;
   const discovery::Paths paths_;
   const std::string list_ = paths_.orders("gw"_gateway);
   const std::string mark_ = discovery::freeze_path(paths_, "gw"_gateway);
   ToldRegistry registry_;
   std::int64_t created_ = 0;
-  std::vector<std::string> heard_;  ///< of the loop
-  OrderFeed::Instances present_;    ///< the gateway's instances
-  OrderFeed::Instances recorded_;   ///< those whose record the registry has
+  std::vector<std::string> heard_;             ///< of the loop
+  std::vector<security::AuditEntry> audited_;  ///< of the loop
+  OrderFeed::Instances present_;               ///< the gateway's instances
+  OrderFeed::Instances recorded_;              ///< those whose record the registry has
   EventLoop loop_{"order-feed"};
-  OrderFeed feed_{registry_,
-                  paths_,
-                  "gw"_gateway,
-                  loop_,
-                  clock_,
-                  {[this](const auto& names) { heard_.push_back("first " + std::to_string(names.size())); },
-                   [this](const auto& order, std::int64_t) { heard_.push_back("order " + order.instance); },
-                   [this](const auto& instance) { heard_.push_back("gone " + instance); }, [this] { return present_; },
-                   [this](const auto& of) {
-                     OrderFeed::Instances without;
-                     for (const auto& instance : of) {
-                       if (!recorded_.contains(instance)) without.insert(instance);
-                     }
-                     return without;
-                   },
-                   [this] { heard_.push_back("frozen"); }, [] {}},
-                  masters_};
+  OrderFeed feed_{
+      registry_,
+      paths_,
+      "gw"_gateway,
+      loop_,
+      clock_,
+      {[this](const auto& names) { heard_.push_back("first " + std::to_string(names.size())); },
+       [this](const auto& order, std::int64_t) { heard_.push_back("order " + order.instance); },
+       [this](const auto& instance) { heard_.push_back("gone " + instance); }, [this] { return present_; },
+       [this](const auto& of) {
+         OrderFeed::Instances without;
+         for (const auto& instance : of) {
+           if (!recorded_.contains(instance)) without.insert(instance);
+         }
+         return without;
+       },
+       [this] { heard_.push_back("frozen"); }, [] {}, [this](const auto& entry) { audited_.push_back(entry); }},
+      masters_,
+      followed_file_};
 };
 
 TEST_F(OrderFeedTest, AnOrderThatGoesBeforeTheListOfNamesWasToldWithItIsTakenBack) {
@@ -222,7 +227,7 @@ struct MasterKey {
 
 class KeyedOrderFeed : private MasterKey, public OrderFeedTest {
  protected:
-  KeyedOrderFeed() : OrderFeedTest(trust()) {}
+  KeyedOrderFeed() : OrderFeedTest(trust(), folder / "followed-orders.jsonl") {}
   const std::string removal_ = paths_.removal("gw"_gateway, "a"_instance);
   Node removed() {
     const std::string bytes = encode(discovery::OrderRemoval{"a"_instance, 1, clock_.wall_ms()});
@@ -236,6 +241,10 @@ TEST_F(KeyedOrderFeed, KeepsWhatRanWhenItsOrderWasRemovedBeforeTheStartUntilAMas
   registry_.tell_names(Names{});
   EXPECT_THAT(heard(), ElementsAre("first 1"));
   EXPECT_THAT(feed_.refused(), testing::HasSubstr("the removal of the order for a"));
+  on_loop([&] {
+    ASSERT_EQ(audited_.size(), 1u);
+    EXPECT_EQ(audited_.front().order, removal_);
+  });
   EXPECT_THAT(heard_after(10s), ElementsAre());
   on_loop([&] {
     registry_.nodes[paths_.removals("gw"_gateway)] = Node{};
@@ -254,6 +263,24 @@ TEST_F(KeyedOrderFeed, TakesARemovalFromBeforeTheStart) {
   registry_.tell_names(Names{});
   EXPECT_THAT(heard(), ElementsAre("first 0"));
   EXPECT_EQ(feed_.refused(), "");
+}
+
+TEST_F(KeyedOrderFeed, WritesDownThatItFollowsARemovalOnceThatIsOnTheDisk) {
+  std::filesystem::create_directory(followed_file_);  // so that it cannot be written
+  present_ = recorded_ = {"a"_instance};
+  registry_.nodes[removal_] = removed();
+  feed_.start();
+  registry_.tell_names(Names{});
+  on_loop([&] {
+    EXPECT_TRUE(audited_.empty());
+    EXPECT_TRUE(heard_.empty());
+    std::filesystem::remove(followed_file_);
+    feed_.read_orders();
+    ASSERT_EQ(audited_.size(), 1u);
+    EXPECT_EQ(audited_.front().who, "master");
+    EXPECT_EQ(audited_.front().outcome, "followed");
+  });
+  EXPECT_THAT(heard(), ElementsAre("first 0"));
 }
 
 /// A feed that follows the order of an instance "a", which runs and has its record.
