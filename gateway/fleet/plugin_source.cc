@@ -66,13 +66,23 @@ PluginSource::Found PluginSource::find(const HostOrder& order) {
   return found;
 }
 
-discovery::DriverName PluginSource::driver_of(const HostOrder& order) const try {
+discovery::DriverName PluginSource::driver_of(const HostOrder& order) try {
   check_plugin_file_name(order.plugin);
   const auto path = order.sha256.empty() ? folder_ + "/" + order.plugin
                     : store_             ? store_->path_of(order.sha256)
                                          : std::optional<std::string>();
   if (!path) return {};
-  return driver_name(config::declaration_in(processes::read_file(*path, 0)), order.plugin);
+  const auto stamp = config::stamp_of(*path);
+  const Version version{order.plugin, order.sha256};
+  {
+    const config::MutexLock lock(mutex_);
+    const auto known = drivers_.find(version);
+    if (known != drivers_.end() && known->second.first == stamp) return known->second.second;
+  }
+  auto driver = driver_name(config::declaration_in(processes::read_file(*path, 0)), order.plugin);
+  const config::MutexLock lock(mutex_);
+  drivers_[version] = {stamp, driver};
+  return driver;
 } catch (const config::Error&) {
   return {};
 }

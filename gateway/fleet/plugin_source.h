@@ -40,7 +40,7 @@ class PluginSource {
   /// signature.
   Found find(const HostOrder& order);
   /// PluginIdentity::driver of the plugin that the order names, whatever its signature; empty: it is not there.
-  discovery::DriverName driver_of(const HostOrder& order) const;
+  discovery::DriverName driver_of(const HostOrder& order);
   /// All plugins of the folder, and all that were sent. They are read, not loaded. \param names as in
   /// HostLauncher::plugins()
   std::vector<discovery::KnownPlugin> all(const std::map<std::string, std::string>& names);
@@ -64,6 +64,9 @@ class PluginSource {
   /// file, and TrustedKeys::generation().
   using Basis = std::tuple<config::FileStamp, config::FileStamp, std::uint64_t>;
   std::map<std::string, std::pair<Basis, Examined>> examined_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by path
+  using Version = std::pair<std::string, std::string>;  ///< HostOrder::plugin and sha256
+  /// The results of driver_of(), each with the stamp of the file that was read.
+  std::map<Version, std::pair<config::FileStamp, discovery::DriverName>> drivers_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace iotcloud::gateway

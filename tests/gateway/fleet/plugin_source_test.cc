@@ -1,4 +1,6 @@
 // That a gateway checks the bytes that a host then uses.
+#include <fstream>
+
 #include <iotcloud/gateway/fleet/plugin_source.h>
 #include <iotcloud/security/sha256.h>
 #include <iotcloud/tests/discovery/id_literals.h>
@@ -61,6 +63,26 @@ TEST_F(PluginSourceTest, WhatWasAdmittedIsCheckedAgainWhenTheKeysWereReadAgain) 
   write("lab.pub", security::new_key_pair().public_pem);
   trusted->reload();
   EXPECT_THAT(error_of([&] { checked.find(wants("turtle.so")); }), HasSubstr("a key that is trusted here"));
+}
+
+/// How many bytes this process has read so far.
+std::size_t bytes_read() {
+  std::string name;
+  std::size_t count = 0;
+  std::ifstream("/proc/self/io") >> name >> count;
+  return count;
+}
+
+TEST_F(PluginSourceTest, TheDriverOfManyHostsOfOnePluginIsLookedUpOnceUntilThePluginChanges) {
+  constexpr std::size_t size = 1'000'000;
+  const std::string named = R"(iotcloud-plugin: driver={"name":"meter"})" + std::string(1, '\0');
+  write("a.so", named + std::string(size, 'x'));
+  auto asked = source(false);
+  const auto before = bytes_read();
+  for (int host = 0; host < 10; ++host) EXPECT_EQ(asked.driver_of(wants("a.so")), "meter"_driver);
+  EXPECT_LT(bytes_read() - before, 2 * size);
+  write("a.so", "another one");
+  EXPECT_EQ(asked.driver_of(wants("a.so")), "a"_driver);
 }
 
 TEST_F(PluginSourceTest, AllPluginsAreListedWithWhatTheirBytesDeclareAndNoneIsLoaded) {
