@@ -30,7 +30,10 @@ With --listener it also listens on PORT, and whoever comes there is told to go o
 
 With --tls the URL is kafkas://localhost:PORT: the server wants a client certificate, and user and password (SASL PLAIN;
 certificates.py; the files are in DIR). With --users it has the users of docker-compose.yml, each with the password `sesame` and
-with the rights that it has there; `READY` comes when they have them.
+with the rights that it has there; `READY` comes when they have them. Then there are also
+
+    cut_off  gateway-2, as `./dev cluster certs revoke gateway-2` does    CUT_OFF
+    let_in   gives it back what that took                                 LET_IN
 """
 import os
 import struct
@@ -132,12 +135,30 @@ class Kafka(private_server.Server):
     def start(self):
         answer = super().start()
         if self.users:
-            with open(self.log(), "ab") as log:
-                subprocess.run(["bash", os.path.join(CLUSTER, "kafka-rights"), *self.java(
-                    "kafka.admin.AclCommand", "--bootstrap-server", "127.0.0.1:%d" % self.port, "--command-config",
-                    self.path("admin.properties"))], env=self.environment(), cwd=self.folder, stdin=subprocess.DEVNULL,
-                               stdout=log, stderr=log, check=True, timeout=private_server.START_LIMIT_S)
+            self.change_rules("bash", os.path.join(CLUSTER, "kafka-rights"))
         return answer
+
+    def change_rules(self, *before, words=()):
+        """kafka-acls.sh as the administrator, with these words, or run by the command `before`."""
+        with open(self.log(), "ab") as log:
+            subprocess.run([*before, *self.java(
+                "kafka.admin.AclCommand", "--bootstrap-server", "127.0.0.1:%d" % self.port, "--command-config",
+                self.path("admin.properties")), *words], env=self.environment(), cwd=self.folder,
+                           stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=True, timeout=private_server.START_LIMIT_S)
+
+    @staticmethod
+    def words_of_revocation():
+        import revocation  # pylint: disable=import-outside-toplevel
+        words = dict(revocation.commands("gateway-2", "master-1"))["kafka"]
+        return words[words.index("--command-config") + 2:]
+
+    def cut_off(self):
+        self.change_rules(words=self.words_of_revocation())
+        return "CUT_OFF"
+
+    def let_in(self):
+        self.change_rules(words=["--add" if word == "--remove" else word for word in self.words_of_revocation()])
+        return "LET_IN"
 
     def security(self):
         user = {"user": certificates.USER, "password": certificates.PASSWORD}
@@ -253,7 +274,8 @@ class Kafka(private_server.Server):
 
     def commands(self):
         more = {"forbid": self.forbid, "permit": self.permit} if self.acls else {}
-        return {**super().commands(), **more}
+        of_users = {"cut_off": self.cut_off, "let_in": self.let_in} if self.users else {}
+        return {**super().commands(), **more, **of_users}
 
     @staticmethod
     def ask(connection, request, version, body):

@@ -51,27 +51,37 @@ class Attempts {
  public:
   Attempts(std::string url, std::string user) : server_(url.substr(url.find("//") + 2)), user_(std::move(user)) {}
 
+  /// A client that sends, for send().
+  Owned<rd_kafka_t> sender() const { return make(RD_KAFKA_PRODUCER, {{"message.timeout.ms", "60000"}}); }
   /// What the server says to each: "ok", or why not.
-  std::string publish(const std::string& topic) const {
+  static std::string send(rd_kafka_t* client, const std::string& topic) {
     std::string answer = "no answer";
-    const auto client = make(RD_KAFKA_PRODUCER, {{"message.timeout.ms", "60000"}}, &answer);
-    const Owned<rd_kafka_topic_t> to(rd_kafka_topic_new(client.get(), topic.c_str(), nullptr));
+    const Owned<rd_kafka_topic_t> to(rd_kafka_topic_new(client, topic.c_str(), nullptr));
     std::string body = "forged";
     if (rd_kafka_produce(to.get(), RD_KAFKA_PARTITION_UA, RD_KAFKA_MSG_F_COPY, body.data(), body.size(), nullptr, 0,
-                         nullptr) != 0) {
+                         &answer) != 0) {
       return text_of(rd_kafka_last_error());
     }
-    rd_kafka_flush(client.get(), limit_ms);
+    rd_kafka_flush(client, limit_ms);
     return answer;
   }
-  /// Reads partition 0 from its beginning, in no group that others have.
-  std::string read(const std::string& topic) const {
-    const auto client = make(RD_KAFKA_CONSUMER, {{"group.id", user_ + ".unused"}, {"enable.partition.eof", "true"}});
+  std::string publish(const std::string& topic) const { return send(sender().get(), topic); }
+  /// A client that reads partition 0 from its beginning, in no group that others have.
+  Owned<rd_kafka_t> reader(const std::string& topic) const {
+    auto client = make(RD_KAFKA_CONSUMER, {{"group.id", user_ + ".unused"}, {"enable.partition.eof", "true"}});
     const Owned<rd_kafka_topic_partition_list_t> list(rd_kafka_topic_partition_list_new(1));
     rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), 0)->offset = RD_KAFKA_OFFSET_BEGINNING;
     rd_kafka_assign(client.get(), list.get());
-    return first_news(client.get());
+    rd_kafka_poll_set_consumer(client.get());
+    return client;
   }
+  /// "ok": a message, or the end of a partition.
+  static std::string news(rd_kafka_t* reader) {
+    const Owned<rd_kafka_message_t> message(rd_kafka_consumer_poll(reader, limit_ms));
+    if (!message) return "no answer";
+    return message->err == RD_KAFKA_RESP_ERR__PARTITION_EOF ? "ok" : text_of(message->err);
+  }
+  std::string read(const std::string& topic) const { return news(reader(topic).get()); }
   /// Asks what partitions it has; who is not told cannot even ask for its records.
   std::string look_at(const std::string& topic) const {
     const auto client = make(RD_KAFKA_PRODUCER, {});
@@ -89,7 +99,8 @@ class Attempts {
     const Owned<rd_kafka_topic_partition_list_t> list(rd_kafka_topic_partition_list_new(1));
     rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
     rd_kafka_subscribe(client.get(), list.get());
-    const std::string answer = first_news(client.get());
+    rd_kafka_poll_set_consumer(client.get());
+    const std::string answer = news(client.get());
     rd_kafka_consumer_close(client.get());
     return answer;
   }
@@ -124,10 +135,10 @@ class Attempts {
  private:
   using Settings = std::initializer_list<std::pair<const char*, std::string>>;
 
-  static void on_report(rd_kafka_t*, const rd_kafka_message_t* message, void* answer) {
-    *static_cast<std::string*>(answer) = text_of(message->err);
+  static void on_report(rd_kafka_t*, const rd_kafka_message_t* message, void*) {
+    *static_cast<std::string*>(message->_private) = text_of(message->err);
   }
-  Owned<rd_kafka_t> make(rd_kafka_type_t type, Settings more, std::string* answer = nullptr) const {
+  Owned<rd_kafka_t> make(rd_kafka_type_t type, Settings more) const {
     rd_kafka_conf_t* const settings = rd_kafka_conf_new();
     std::array<char, 512> problem{};
     const auto set = [&](const char* name, const std::string& value) {
@@ -140,18 +151,8 @@ class Attempts {
     set("sasl.username", user_);
     set("sasl.password", password);
     for (const auto& [name, value] : more) set(name, value);
-    if (answer != nullptr) {
-      rd_kafka_conf_set_dr_msg_cb(settings, on_report);
-      rd_kafka_conf_set_opaque(settings, answer);
-    }
+    if (type == RD_KAFKA_PRODUCER) rd_kafka_conf_set_dr_msg_cb(settings, on_report);
     return Owned<rd_kafka_t>(rd_kafka_new(type, settings, problem.data(), problem.size()));
-  }
-  /// "ok": a message, or the end of a partition.
-  static std::string first_news(rd_kafka_t* client) {
-    rd_kafka_poll_set_consumer(client);
-    const Owned<rd_kafka_message_t> message(rd_kafka_consumer_poll(client, limit_ms));
-    if (!message) return "no answer";
-    return message->err == RD_KAFKA_RESP_ERR__PARTITION_EOF ? "ok" : text_of(message->err);
   }
   /// Has a request of an administrator answered.
   std::string ask(const std::function<void(rd_kafka_t*, rd_kafka_queue_t*)>& request) const {
@@ -233,6 +234,21 @@ TEST_F(KafkaUsers, TheThiefOfAGatewayNeitherSendsAsAnotherOneNorReadsItsMessages
   EXPECT_EQ(thief.remove_topic(foreign), not_for_topic);
   EXPECT_EQ(thief.take_rights(foreign), not_for_cluster);
   EXPECT_EQ(other.read(foreign), "ok") << "it is there still";
+}
+
+TEST_F(KafkaUsers, TheThiefOfAGatewayHasNoUseOfWhatIsOpenOnceTheGatewayIsCutOff) {
+  const std::string topic = "gateway-2.turtle.open";
+  const Attempts thief(server_->url(), "gateway-2");
+  const auto sends = thief.sender();
+  EXPECT_EQ(Attempts::send(sends.get(), topic), "ok");
+  const auto reads = thief.reader(topic);
+  EXPECT_EQ(Attempts::news(reads.get()), "ok");
+  server_->command("cut_off", "CUT_OFF");
+  EXPECT_TRUE(eventually([&] { return Attempts::send(sends.get(), topic) == not_for_topic; }, patience));
+  EXPECT_TRUE(eventually([&] { return Attempts::news(reads.get()) == not_for_topic; }, patience));
+  EXPECT_EQ(thief.publish(topic), not_for_topic) << "who logs in anew";
+  EXPECT_EQ(thief.join(topic, topic), not_for_group);
+  server_->command("let_in", "LET_IN");
 }
 
 TEST_F(KafkaUsers, WorkersReachTheGatewaysTopicsOnly) {
