@@ -7,7 +7,6 @@ usage: far_worker_test.py BUILD_DIR
 
 import json
 import shutil
-import socket
 import ssl
 import subprocess
 import sys
@@ -18,48 +17,21 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError, echo_topology, require, wait_for  # noqa: E402
+from guarded_cluster import HOST, GuardedCluster  # noqa: E402
+from private_cluster import StartError, echo_topology, require, wait_for  # noqa: E402
 
-HOST = socket.gethostname()
 OPEN = 'metrics: {address: "0.0.0.0:0"}'
 
 
-class SeenFromAfar(PrivateCluster):
-    """The master asks for certificates of the authority in out/certs and for tokens; so do the pages of workers."""
+class SeenFromAfar(GuardedCluster):
+    """The pages of workers ask for certificates and tokens, too."""
 
-    def iotcloud(self, *words):
-        done = subprocess.run([self.bin / "iotcloud", *map(str, words)], capture_output=True, text=True, timeout=60)
-        require(done.returncode == 0, done)
-        return done.stdout
+    of_api = 'worker_token_file: "{out}/master.token"'
 
     def make_secrets(self):
-        self.certs = self.out / "certs"
-        self.iotcloud("certs", "init", self.certs, "--host", f"lab1,{HOST}")
-        for who, role in (("anna", "admin"), ("vera", "viewer")):
-            self.token(who, "people", "--role", role)
+        super().make_secrets()
         self.token("master", "pages", "--role", "viewer", "--certificate", self.certs / "lab1.pem")
         self.token("prometheus", "pages", "--role", "viewer")
-
-    def token(self, who, kind, *words):
-        (self.out / f"{who}.token").write_text(self.iotcloud("token", "add", who, *words, "--file", self.out / kind))
-
-    def guarded(self, host, tokens):
-        files = f'ca: "{self.certs}/ca.pem", certificate: "{self.certs}/{host}.pem", key: "{self.certs}/{host}.key"'
-        return f'tls: {{{files}}}, tokens: "{self.out}/{tokens}"'
-
-    def daemon(self, program, name, configuration, **more):
-        if name == "master":
-            token = f'worker_token_file: "{self.out}/master.token", '
-            configuration = configuration.replace("api: {", f"api: {{{self.guarded('lab1', 'people')}, {token}")
-        return super().daemon(program, name, configuration, **more)
-
-    def run_as(self, who, *words, limit=60):
-        operator = self.certs / "operator"
-        return super().run_cli("--ca", self.certs / "ca.pem", "--certificate", f"{operator}.pem", "--key", f"{operator}.key",
-                               "--token-file", self.out / f"{who}.token", *words, limit=limit)
-
-    def run_cli(self, *words, limit=120):
-        return self.run_as("anna", *words, limit=limit)
 
     def scrape(self, address, token=None, certificate="operator"):
         """As Prometheus does: status and text."""

@@ -7,48 +7,29 @@ usage: guarded_pool_test.py BUILD_DIR LIBRARY
 
 import os
 import shutil
-import socket
-import subprocess
 import sys
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PATIENT_STOP, PrivateCluster, StartError, free_port, require, wait_for  # noqa: E402
+from guarded_cluster import HOST, GuardedCluster  # noqa: E402
+from private_cluster import PATIENT_STOP, StartError, free_port, require, wait_for  # noqa: E402
 
-HOST = socket.gethostname()
 
+class GuardedPool(GuardedCluster):
+    """Master and pool ask for certificates and tokens; the pool for signatures, too."""
 
-class GuardedPool(PrivateCluster):
-    """Master and pool ask for certificates of the authority in out/certs and for tokens."""
-
-    def iotcloud(self, *words):
-        done = subprocess.run([self.bin / "iotcloud", *map(str, words)], capture_output=True, text=True, timeout=60)
-        require(done.returncode == 0, done)
-        return done.stdout
-
-    def token(self, who, kind, *words):
-        (self.out / f"{who}.token").write_text(self.iotcloud("token", "add", who, *words, "--file", self.out / kind))
+    of_api = 'pool_token_file: "{out}/{pool}.token"'
 
     def make_secrets(self):
-        self.certs = self.out / "certs"
-        self.iotcloud("certs", "init", self.certs, "--host", f"lab1,{HOST}")
-        for who, role in (("anna", "admin"), ("vera", "viewer")):
-            self.token(who, "people", "--role", role)
+        super().make_secrets()
         self.token("pool-1", "pool-tokens", "--role", "master", "--certificate", self.certs / "lab1.pem")  # the master's
         for key in ("orders", "libraries", "somebodys"):
             self.iotcloud("keys", "new", self.out / key)
 
-    def guarded(self, host, tokens):
-        files = f'ca: "{self.certs}/ca.pem", certificate: "{self.certs}/{host}.pem", key: "{self.certs}/{host}.key"'
-        return f'tls: {{{files}}}, tokens: "{self.out}/{tokens}"'
-
     def daemon(self, program, name, configuration, **more):
-        if name == "master":
-            token = f'pool_token_file: "{self.out}/{{pool}}.token", '
-            configuration = configuration.replace("api: {", f"api: {{{self.guarded('lab1', 'people')}, {token}")
-            configuration += f'orders: {{signing_key: "{self.out}/orders.key", trusted_keys: ["{self.out}/orders.pub"]}}\n'
+        configuration += f'orders: {{signing_key: "{self.out}/orders.key", trusted_keys: ["{self.out}/orders.pub"]}}\n'
         return super().daemon(program, name, configuration, **more)
 
     def pool(self):
@@ -64,14 +45,6 @@ worker_files: {{read: ["{self.out}/orders.pub"]}}
 audit: {{file: "{self.out}/audit.log"}}
 """)
         return self.spawn("pool-1", [self.bin / "iotcloud-topology", "--pool", "--config", file, *PATIENT_STOP])
-
-    def run_as(self, who, *words, limit=120):
-        operator = self.certs / "operator"
-        return super().run_cli("--ca", self.certs / "ca.pem", "--certificate", f"{operator}.pem", "--key", f"{operator}.key",
-                               "--token-file", self.out / f"{who}.token", *words, limit=limit)
-
-    def run_cli(self, *words, limit=120):
-        return self.run_as("anna", *words, limit=limit)
 
 
 def refused(what, done, *expected):
