@@ -5,8 +5,7 @@
 #include <string>
 
 #include <iotcloud/gateway/gateway.h>
-#include <iotcloud/rpc/listen_settings.h>
-#include <iotcloud/rpc/session.h>
+#include <iotcloud/rpc/guarded_service.h>
 
 namespace iotcloud::gateway {
 
@@ -30,17 +29,13 @@ class SiteService {
 
   /// Serves from construction on. The gateway and the registry outlive it. \throws config::Error if it cannot listen,
   /// or if other machines could give orders without TLS and tokens.
-  SiteService(const Options& options, Gateway& gateway, discovery::Registry& registry, discovery::Paths paths);
-  /// Takes no new calls and waits for the running ones.
-  ~SiteService();
-  int port() const;
-  /// Opens the audit log by its name again, then reads the token file and the certificates again. \throws config::Error
-  /// that names the first unusable file; that file and those after it stay as they were.
-  void reload();
+  SiteService(const Options& options, Gateway& gateway, discovery::Registry& registry, const discovery::Paths& paths);
+  int port() const { return service_.port(); }
+  /// As rpc::GuardedService::reload().
+  void reload() { service_.reload(); }
 
  private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
+  rpc::GuardedService service_;
 };
 
 }  // namespace iotcloud::gateway

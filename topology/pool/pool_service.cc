@@ -1,7 +1,6 @@
 #include <algorithm>
 #include <filesystem>
 #include <fstream>
-#include <optional>
 #include <stdexcept>
 #include <utility>
 
@@ -13,7 +12,6 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/processes/durable_file.h>
 #include <iotcloud/processes/log_reader.h>
-#include <iotcloud/rpc/thrift_server.h>
 #include <iotcloud/topology/pool/logger.h>
 #include <iotcloud/topology/pool/pool_service.h>
 #include <iotcloud/topology/pool/worker_processes.h>
@@ -154,51 +152,22 @@ const rpc::MethodRules& PoolService::rules() {
   return rules;
 }
 
-struct PoolService::Impl {
-  explicit Impl(Options given) : options(std::move(given)) {
-    access.service = "pool";
-    access.rules = rules();
-    access.users = options.listen.users;
-    access.open = options.listen.open;
-    access.limits = std::make_shared<rpc::RoleLimits>(options.listen.calls);
-    if (!options.audit.file.empty()) access.audit = std::make_shared<security::AuditLog>(options.audit);
-    if (!options.listen.tokens.empty())
-      access.tokens = std::make_shared<security::TokenKeeper>(options.listen.tokens, "thrift");
-  }
+namespace {
 
-  std::shared_ptr<apache::thrift::TProcessor> serve(const std::shared_ptr<rpc::ThriftPeer>& peer) {
-    auto session = std::make_shared<rpc::CallerSession>(access, peer);
-    auto handler = std::make_shared<PoolHandler>(options, session);
-    return rpc::guarded(std::make_shared<wire::TPoolServiceProcessor>(std::move(handler)), session);
-  }
-
-  const Options options;
-  rpc::AccessOptions access;
-  std::optional<rpc::ThriftServer> server;  ///< last, because it uses the other members
-};
-
-PoolService::PoolService(Options options) {
-  if (const auto problem = rpc::exposure(options.listen); !problem.empty()) throw config::Error(problem);
-  impl_ = std::make_unique<Impl>(std::move(options));
-  rpc::ThriftServerOptions serving;
-  serving.name = "pool";
-  serving.host = impl_->options.listen.host;
-  serving.port = impl_->options.listen.port;
-  serving.tls = impl_->options.listen.tls;
-  impl_->server.emplace(serving, [impl = impl_.get()](const auto& peer) { return impl->serve(peer); });
+rpc::GuardedService::Options guarding(const PoolService::Options& options) {
+  rpc::GuardedService::Options guarding;
+  guarding.rules = PoolService::rules();
+  guarding.listen = options.listen;
+  if (!options.audit.file.empty()) guarding.audit = std::make_shared<security::AuditLog>(options.audit);
+  guarding.limits.name = "pool";
+  return guarding;
 }
 
-PoolService::~PoolService() = default;
+}  // namespace
 
-int PoolService::port() const {
-  return impl_->server->port();
-}
-
-void PoolService::reload() {
-  // The audit log comes first, so that an unreadable file below does not keep a log open that somebody has renamed.
-  if (impl_->access.audit) impl_->access.audit->reopen();
-  if (impl_->access.tokens) impl_->access.tokens->reload();
-  impl_->server->reload();  // after the tokens: it closes connections whose token is gone
-}
+PoolService::PoolService(const Options& options)
+    : service_(guarding(options), [options](auto session) {
+        return std::make_shared<wire::TPoolServiceProcessor>(std::make_shared<PoolHandler>(options, session));
+      }) {}
 
 }  // namespace iotcloud::topology

@@ -6,8 +6,7 @@
 
 #include <iotcloud/discovery/ids.h>
 #include <iotcloud/processes/plugin_store.h>
-#include <iotcloud/rpc/listen_settings.h>
-#include <iotcloud/rpc/session.h>
+#include <iotcloud/rpc/guarded_service.h>
 #include <iotcloud/security/audit_log.h>
 
 namespace iotcloud::topology {
@@ -29,17 +28,13 @@ class PoolService {
 
   /// Serves from construction on. \throws config::Error if it cannot listen, or if other machines could send libraries
   /// without TLS and tokens.
-  explicit PoolService(Options options);
-  /// Takes no new calls and waits for the running ones.
-  ~PoolService();
-  int port() const;
-  /// Opens the audit log by its name again, then reads the token file and the certificates again. \throws config::Error
-  /// that names the first unusable file; that file and those after it stay as they were.
-  void reload();
+  explicit PoolService(const Options& options);
+  int port() const { return service_.port(); }
+  /// As rpc::GuardedService::reload().
+  void reload() { service_.reload(); }
 
  private:
-  struct Impl;
-  std::unique_ptr<Impl> impl_;
+  rpc::GuardedService service_;
 };
 
 }  // namespace iotcloud::topology
