@@ -1,32 +1,27 @@
 #pragma once
 
-#include <atomic>
 #include <chrono>
 #include <functional>
-#include <memory>
 #include <optional>
 #include <string>
-#include <thread>
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/gateway/fleet/process_launcher.h>
 #include <iotcloud/gateway/host/protocol.h>
-#include <iotcloud/processes/child_process.h>
-#include <iotcloud/processes/frames.h>
-#include <iotcloud/processes/unix_socket.h>
+#include <iotcloud/processes/process_watch.h>
 
 namespace iotcloud::gateway {
 
-/// The link to a driver host process: one thread connects to it, sends, receives, pings, and notices its end.
+/// The link to a driver host process.
 class ProcessLink final : public HostLink {
  public:
   /// \param socket_name the socket's name in the state folder; the host may not listen yet. \param proof see
   /// HostProofs::of(); shown to `process` only. \param process the host.
   /// \param keep_log called about once per ping period on the link's thread; may be empty.
   ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
-              std::string proof, processes::ChildProcess process, HostEvents events, std::function<void()> keep_log);
-  ~ProcessLink() override;
+              const std::string& proof, processes::ChildProcess process, HostEvents events,
+              std::function<void()> keep_log);
 
   PluginIdentity plugin() const override { return order_.identity; }
   void create(const InstanceSpec& spec) override;
@@ -43,13 +38,6 @@ class ProcessLink final : public HostLink {
   using Instant = std::chrono::steady_clock::time_point;
 
   void send(const protocol::HostCommand& command);
-  void send(std::string frame);
-  void run() noexcept;
-  bool connect();
-  bool prove();
-  void converse();
-  bool send_waiting();
-  bool receive();
   void heard(const protocol::HostHello& hello);
   void heard(const protocol::PluginRefused& refused);
   void heard(const protocol::StatusChange& change);
@@ -63,38 +51,24 @@ class ProcessLink final : public HostLink {
   void ping();
   void ask_for_metrics(Instant now);
   void show_metrics(std::vector<config::Sample> samples);
-  bool overdue(std::chrono::nanoseconds silent);
-  std::chrono::milliseconds time_to_wait() const;
-  HostEnd wait_for_end();
-  void tell_end(const HostEnd& end);
+  void ended(const processes::WatchedEnd& end);
 
   const ProcessLauncher::Options options_;
   const HostOrder order_;
   const std::string socket_name_;
-  const std::string proof_;
-  const processes::ChildProcess process_;
   const HostEvents events_;
   const std::function<void()> keep_log_;
-  processes::Waker waker_;
-  std::atomic<bool> leaving_{false};
 
   config::Mutex mutex_;
-  std::vector<std::string> waiting_ IOTCLOUD_GUARDED_BY(mutex_);  ///< frames to send
-  bool shutting_down_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::optional<bool> answers_ IOTCLOUD_GUARDED_BY(mutex_);  ///< HostHello::answers; nullopt: no hello came yet
-  Instant shutdown_deadline_ IOTCLOUD_GUARDED_BY(mutex_) = Instant::max();
 
-  // Used on the link's thread only.
-  processes::OwnedDescriptor socket_;
-  processes::FrameReader frames_;
-  Instant next_ping_, next_metrics_;
+  // Used on the watch's thread only.
+  Instant next_metrics_;
   std::string name_;               ///< the host's name in its metrics
   std::string refused_;            ///< why the host cannot serve
-  std::string killed_;             ///< why it was killed
-  discovery::InstanceId culprit_;  ///< the instance at fault for `killed_`
-  processes::Vitals vitals_;
+  discovery::InstanceId culprit_;  ///< the instance at fault when the host was killed
 
-  std::jthread thread_;  ///< last, because it uses the other members
+  processes::ProcessWatch watch_;  ///< last, because it uses the other members
 };
 
 }  // namespace iotcloud::gateway

@@ -1,21 +1,14 @@
 #pragma once
 
-#include <atomic>
 #include <chrono>
-#include <optional>
 #include <string>
-#include <thread>
 
-#include <iotcloud/config/mutex.h>
-#include <iotcloud/processes/child_process.h>
-#include <iotcloud/processes/frames.h>
-#include <iotcloud/processes/silence.h>
-#include <iotcloud/processes/vitals.h>
+#include <iotcloud/processes/process_watch.h>
 #include <iotcloud/topology/pool/worker_launcher.h>
 
 namespace iotcloud::topology {
 
-/// The link to a worker process: one thread connects to it, hears it, pings it, and notices its end.
+/// The link to a worker process.
 class ProcessLink final : public WorkerLink {
  public:
   struct Options {
@@ -25,47 +18,20 @@ class ProcessLink final : public WorkerLink {
     /// A worker is killed in which a call of a component takes longer; 0: never.
     std::chrono::milliseconds call_limit{0};
   };
-  /// \param process is taken over. \throws std::system_error when this process lacks descriptors or threads; then a
-  /// process that was taken over has ended.
-  ProcessLink(Options options, const processes::VitalLimits& limits, processes::ChildProcess& process,
+  /// As processes::ProcessWatch().
+  ProcessLink(Options options, const processes::VitalLimits& limits, processes::ChildProcess process,
               WorkerEvents events);
-  ~ProcessLink() override;
 
   void stop(std::chrono::milliseconds limit) override;
 
  private:
-  using Instant = std::chrono::steady_clock::time_point;
-
-  void run() noexcept;
-  bool connect();
-  void converse();
-  bool receive();
-  bool send_stop();
-  void ping();
-  void watch_calls(const pooled::WorkerReport& report);
-  void kill(const std::string& why);
-  bool overdue(std::chrono::nanoseconds silent);
-  WorkerEnding wait_for_end();
+  void heard(const pooled::WorkerReport& report);
+  void ended(const processes::WatchedEnd& end);
 
   const Options options_;
-  processes::Waker waker_;
-  const processes::ChildProcess process_;
   const WorkerEvents events_;
-  std::atomic<bool> leaving_{false};
-
-  config::Mutex mutex_;
-  std::optional<Instant> stop_deadline_ IOTCLOUD_GUARDED_BY(mutex_);  ///< nullopt: it was not told to stop
-
-  // Used on the link's thread only.
-  processes::OwnedDescriptor socket_;
-  processes::FrameReader frames_;
-  Instant next_ping_;
-  bool stop_sent_ = false;
-  int long_calls_ = 0;  ///< reports in a row of a call that takes longer than the limit
-  std::string killed_;  ///< why it was killed
-  processes::Vitals vitals_;
-
-  std::jthread thread_;  ///< last, because it uses the other members
+  int long_calls_ = 0;  ///< reports in a row of a call that takes longer than the limit; of the watch's thread
+  processes::ProcessWatch watch_;  ///< last, because it uses the other members
 };
 
 }  // namespace iotcloud::topology

@@ -100,7 +100,6 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
   spec.confinement = confinement_in(folder, spec.topology);
   make_folder(folder);
   make_folder(log_folder(options_.state_dir, spec.topology));
-  std::optional<processes::ChildProcess> process;
   try {
     write_file(folder + "/" + pooled::yaml_name, order.version.yaml);
     write_file(pooled::spec_path(folder), pooled::encode(spec));
@@ -112,16 +111,12 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
     // clang-format on
     const auto as_this_process = config::log_options();
     arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
-    process.emplace(processes::spawn(std::move(arguments), spec.log, processes::environment_of(options_.environment)),
-                    true);
+    processes::ChildProcess process(
+        processes::spawn(std::move(arguments), spec.log, processes::environment_of(options_.environment)), true);
     pool_logger.info("started worker {} of topology {} as process {}; it logs to {}", spec.place, spec.topology,
-                     process->id(), spec.log);
-    return link(folder, *process, std::move(events));
+                     process.id(), spec.log);
+    return link(folder, std::move(process), std::move(events));
   } catch (const std::exception&) {
-    if (process) {
-      process->kill();
-      static_cast<void>(process->how_it_ended());
-    }
     pooled::remove_worker(folder);
     throw;
   }
@@ -158,15 +153,14 @@ std::vector<RunningWorker> WorkerProcesses::running() {
 
 std::unique_ptr<WorkerLink> WorkerProcesses::adopt(const RunningWorker& worker, WorkerEvents events) {
   const std::string folder = folder_of(worker.name);
-  processes::ChildProcess process(processes::peer_process(processes::connect_in(folder, pooled::socket_name)), false);
-  return link(folder, process, std::move(events));
+  const int process = processes::peer_process(processes::connect_in(folder, pooled::socket_name));
+  return link(folder, {process, false}, std::move(events));
 }
 
-/// \param process unchanged if this throws
-std::unique_ptr<WorkerLink> WorkerProcesses::link(const std::string& folder, processes::ChildProcess& process,
+std::unique_ptr<WorkerLink> WorkerProcesses::link(const std::string& folder, processes::ChildProcess process,
                                                   WorkerEvents events) const {
   ProcessLink::Options options{folder, options_.ping_period, options_.hang_limit, options_.call_limit};
-  return std::make_unique<ProcessLink>(std::move(options), options_.limits, process, std::move(events));
+  return std::make_unique<ProcessLink>(std::move(options), options_.limits, std::move(process), std::move(events));
 }
 
 }  // namespace iotcloud::topology

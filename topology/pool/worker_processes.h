@@ -50,7 +50,7 @@ class WorkerProcesses final : public WorkerLauncher {
 
  private:
   std::string folder_of(const std::string& name) const { return options_.state_dir + "/workers/" + name; }
-  std::unique_ptr<WorkerLink> link(const std::string& folder, processes::ChildProcess& process,
+  std::unique_ptr<WorkerLink> link(const std::string& folder, processes::ChildProcess process,
                                    WorkerEvents events) const;
   pooled::WorkerConfinement confinement_in(const std::string& folder, const discovery::TopologyName& topology) const;
   std::string checked_library(const discovery::SentLibrary& library) const;
