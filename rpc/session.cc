@@ -82,10 +82,13 @@ std::string CallerSession::authenticate(const std::string& token) {
   std::shared_ptr<void> turn;
   if (options_.tokens->costs(token)) {
     turn = options_.token_tries->enter(stranger());
-    if (!turn) return refuse_token("token_rate", fmt::format("{} tries too many tokens; try again later", stranger()));
+    // While it waited, another connection may have shown the same token.
+    if (!turn && options_.tokens->costs(token))
+      return refuse_token("token_rate", fmt::format("{} tries too many tokens; try again later", stranger()));
   }
   std::string why;
   holder_ = options_.tokens->holder(token, peer_->certificate(), &why);
+  turn.reset();  // the pause after a wrong token holds up no other try
   if (holder_) {
     peer_->set_identity(holder_->name);
     peer_->set_validity([tokens = options_.tokens, holder = *holder_] { return tokens->role_of(holder).has_value(); });

@@ -347,31 +347,34 @@ std::optional<TokenEntry> TokenKeeper::named_by(const std::string& token) const 
   return at == entries_.end() ? std::nullopt : std::optional(at->second);
 }
 
-bool TokenKeeper::is_verified(const TokenEntry& entry, const std::string& token) const {
-  const std::string digest = sha256_hex(secret_ + token);
+bool TokenKeeper::is_verified(const TokenEntry& entry, const std::string& digest) const {
   const config::MutexLock lock(verifying_);
   const auto known = verified_.find(entry.name);
   return known != verified_.end() && known->second.hash == entry.hash &&
          CRYPTO_memcmp(known->second.digest.data(), digest.data(), digest.size()) == 0;
 }
 
+std::string TokenKeeper::digest_of(const std::string& token) const {
+  return sha256_hex(secret_ + token);
+}
+
 /// Whether the token is that of the entry.
 bool TokenKeeper::verify(const TokenEntry& entry, const std::string& token) const {
-  if (is_verified(entry, token)) return true;
+  const std::string digest = digest_of(token);
+  if (is_verified(entry, digest)) return true;
+  const config::MutexLock one_at_a_time(hashing_);
+  if (is_verified(entry, digest)) return true;  // the one before has just hashed the same token
   const auto wanted = parse_hash(entry.hash);
-  {
-    const config::MutexLock one_at_a_time(hashing_);
-    const auto hash = scrypt(token.substr(token.find('.') + 1), wanted->salt, wanted->cost);
-    if (!hash || CRYPTO_memcmp(hash->data(), wanted->hash.data(), hash_bytes) != 0) return false;
-  }
+  const auto hash = scrypt(token.substr(token.find('.') + 1), wanted->salt, wanted->cost);
+  if (!hash || CRYPTO_memcmp(hash->data(), wanted->hash.data(), hash_bytes) != 0) return false;
   const config::MutexLock lock(verifying_);
-  verified_[entry.name] = {entry.hash, sha256_hex(secret_ + token)};
+  verified_[entry.name] = {entry.hash, digest};
   return true;
 }
 
 bool TokenKeeper::costs(const std::string& token) const {
   const auto entry = named_by(token);
-  return entry && !is_verified(*entry, token);
+  return entry && !is_verified(*entry, digest_of(token));
 }
 
 std::optional<TokenEntry> TokenKeeper::holder(const std::string& token, const std::string& certificate,

@@ -93,13 +93,14 @@ class TokenKeeper {
   void measure(const std::string& service, std::vector<config::Sample>& samples) const;
   bool is_over(const TokenEntry& entry) const;
   std::optional<TokenEntry> named_by(const std::string& token) const;
-  bool is_verified(const TokenEntry& entry, const std::string& token) const;
+  std::string digest_of(const std::string& token) const;
+  bool is_verified(const TokenEntry& entry, const std::string& digest) const;
   bool verify(const TokenEntry& entry, const std::string& token) const;
 
   /// A token that was found to be that of an entry.
   struct Verified {
     std::string hash;    ///< TokenEntry::hash
-    std::string digest;  ///< of the token, with `secret_`
+    std::string digest;  ///< digest_of() the token
   };
   const std::string file_;
   const config::Clock& clock_;

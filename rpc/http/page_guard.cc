@@ -29,7 +29,8 @@ void PageGuard::reload() {
 }
 
 bool PageGuard::may_try(std::string_view authorization, const std::string& caller) const {
-  return !tokens_->costs(token_in(authorization)) || tries_.enter(caller) != nullptr;
+  const std::string token = token_in(authorization);
+  return !tokens_->costs(token) || tries_.enter(caller) != nullptr || !tokens_->costs(token);
 }
 
 std::optional<security::TokenEntry> PageGuard::reader(std::string_view authorization,

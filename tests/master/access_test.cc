@@ -7,8 +7,10 @@
 #include <map>
 #include <optional>
 #include <regex>
+#include <thread>
 #include <vector>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -499,6 +501,32 @@ TEST_F(LimitedAccess, OneWhoTriesTokensWithoutEndIsRefusedBeforeTheyAreHashedAnd
   if (geteuid() != 0) return;
   const rpc::test::AsNobody other_user;
   connect(operating_);
+}
+
+TEST_F(LimitedAccess, AWrongTokensPauseHoldsUpNoOtherTryOfItsCaller) {
+  access_.token_tries = std::make_shared<rpc::CallLimits>(
+      rpc::CallLimits::Options{.at_once = 1, .per_second = 1e6, .longest_wait = std::chrono::milliseconds{0}});
+  access_.wrong_token_pause = std::chrono::seconds{2};
+  serve({});
+  const auto before = refused("token");
+  std::jthread wrong([client = connect()]() mutable {
+    TResponse answer;
+    client.authenticate(answer, "vera.wrong");
+  });
+  ASSERT_TRUE(tests::eventually([&] { return refused("token") == before + 1; }));
+  connect(viewer_);
+}
+
+TEST_F(LimitedAccess, WhoseTokenIsFoundGoodWhileItWaitsForItsTurnGetsIn) {
+  tests::HandClock turns;
+  const rpc::CallLimits::Options one{.at_once = 1, .per_second = 1e6, .longest_wait = std::chrono::seconds{5}};
+  access_.token_tries = std::make_shared<rpc::CallLimits>(one, turns);
+  serve({});
+  const auto other_try = access_.token_tries->enter(fmt::format("user {}", geteuid()));
+  std::jthread waiting([this] { connect(viewer_); });
+  ASSERT_TRUE(tests::eventually([&] { return turns.waiting() == 1; }));
+  ASSERT_TRUE(tokens_->holder(viewer_, "")) << "by another connection";
+  turns.advance(one.longest_wait);
 }
 
 TEST_F(LimitedAccess, RefusedCallsCountToo) {
