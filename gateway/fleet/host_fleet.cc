@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/discovery/driver_of_file.h>
 #include <iotcloud/gateway/fleet/host_fleet.h>
 #include <iotcloud/gateway/fleet/report_check.h>
 #include <iotcloud/gateway/logger.h>
@@ -26,7 +27,7 @@ DriverName driver_of(const discovery::OrderRecord& order, const HostOrder& host)
 /// The same for what is shown before a host reports.
 DriverName driver_name(const discovery::OrderRecord& order, const HostOrder& host) {
   const DriverName known = driver_of(order, host);
-  return known.empty() ? DriverName(order.plugin.substr(0, order.plugin.rfind('.'))) : known;
+  return known.empty() ? discovery::driver_of_file(order.plugin) : known;
 }
 
 /// Instances with the same key share a host. The key of an uploaded plugin contains the SHA-256 of its bytes, so each

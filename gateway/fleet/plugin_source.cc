@@ -8,6 +8,7 @@
 
 #include <iotcloud/config/declaration.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/discovery/driver_of_file.h>
 #include <iotcloud/drivers/plugin.h>
 #include <iotcloud/gateway/fleet/plugin_folder.h>
 #include <iotcloud/gateway/fleet/plugin_source.h>
@@ -22,7 +23,7 @@ namespace fs = std::filesystem;
 namespace {
 
 discovery::DriverName driver_name(const config::DriverDeclaration& declaration, const std::string& plugin) {
-  return discovery::DriverName(declaration.driver.empty() ? plugin.substr(0, plugin.rfind('.')) : declaration.driver);
+  return declaration.driver.empty() ? discovery::driver_of_file(plugin) : discovery::DriverName(declaration.driver);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #include <set>
 
+#include <iotcloud/discovery/driver_of_file.h>
 #include <iotcloud/master/listing/lost_orders.h>
 
 namespace iotcloud::master {
@@ -10,7 +11,7 @@ namespace {
 /// plugin's own name, which only a process that loads the plugin knows.
 discovery::DriverName driver_of_order(const discovery::OrderRecord& order) {
   if (!order.driver.empty()) return order.driver;
-  return discovery::DriverName(order.plugin.substr(0, order.plugin.rfind('.')));
+  return discovery::driver_of_file(order.plugin);
 }
 
 }  // namespace
