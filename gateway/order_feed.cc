@@ -290,7 +290,7 @@ std::optional<discovery::InstanceId> OrderFeed::put_back(const Found& found) con
     if (node->created == last->created && node->version >= last->version) continue;
     const std::string path = paths_.order(gateway_, instance);
     try {
-      if (is_signed(path, *node) && discovery::decode_order(node->data, path).given_ms < last->given_ms)
+      if (signer_of(path, *node) && discovery::decode_order(node->data, path).given_ms < last->given_ms)
         return instance;
     } catch (const config::Error& e) {
       logger.debug("{}", e.what());  // it is ignored when it is read
@@ -302,7 +302,7 @@ std::optional<discovery::InstanceId> OrderFeed::put_back(const Found& found) con
 /// \return a master's answer to the present freeze; nullopt: there is none yet, or the feed is not frozen.
 std::optional<discovery::Adoption> OrderFeed::adoption(const discovery::Node& list) const {
   const auto freeze = freeze_record();
-  if (!freeze || list.data.empty() || !is_signed(paths_.orders(gateway_), list)) return std::nullopt;
+  if (!freeze || list.data.empty() || !signer_of(paths_.orders(gateway_), list)) return std::nullopt;
   try {
     auto answer = discovery::decode_adoption(list.data, paths_.orders(gateway_));
     if (answer.token == freeze->token) return answer;
@@ -408,16 +408,16 @@ OrderFeed::Instances OrderFeed::without_removal(const Instances& names) {
   const auto nodes = paths.empty() ? std::vector<std::optional<discovery::Node>>() : registry_.get_all(paths);
   Instances unproven;
   std::vector<FollowedOrder> removals;
-  std::vector<discovery::Node> removal_nodes;  // of the same
+  std::vector<std::string> signers;  // of the same
   std::size_t i = 0;
   for (const auto& instance : missing) {
     const auto& node = nodes[i++];
     const auto* last = done_.find(instance);
     if (last != nullptr && last->removed) continue;  // by an earlier run, which did not end the instance
-    if (const auto removed = removed_at(instance, node)) {
-      removals.push_back(followed(instance, *removed));
+    if (auto removed = removal_of(instance, node)) {
+      removals.push_back(followed(instance, removed->given_ms));
       removals.back().removed = true;
-      removal_nodes.push_back(*node);
+      signers.push_back(std::move(removed->signer));
     } else {
       unproven.insert(instance);
     }
@@ -425,7 +425,7 @@ OrderFeed::Instances OrderFeed::without_removal(const Instances& names) {
   done_.add(removals);
   for (std::size_t at = 0; at < removals.size(); ++at) {
     const auto& instance = removals[at].instance;
-    audit_followed(instance, removal_nodes[at], paths_.removal(gateway_, instance), "removal");
+    audit_followed(instance, signers[at], paths_.removal(gateway_, instance), "removal");
   }
   std::erase_if(unproven_, [&](const auto& entry) { return !unproven.contains(entry.first); });
   for (const auto& instance : unproven) {
@@ -446,16 +446,18 @@ void OrderFeed::watch_removal(const discovery::InstanceId& instance) {
 }
 
 /// \param node of the instance's OrderRemoval
-/// \return when a master removed the instance's last order; nullopt: none did.
-std::optional<std::int64_t> OrderFeed::removed_at(const discovery::InstanceId& instance,
-                                                  const std::optional<discovery::Node>& node) const {
+/// \return when a master removed the instance's last order, and which; nullopt: none did.
+std::optional<OrderFeed::Removal> OrderFeed::removal_of(const discovery::InstanceId& instance,
+                                                        const std::optional<discovery::Node>& node) const {
   const std::string path = paths_.removal(gateway_, instance);
-  if (!node || !is_signed(path, *node)) return std::nullopt;
+  if (!node) return std::nullopt;
+  auto signer = signer_of(path, *node);
+  if (!signer) return std::nullopt;
   try {
     const auto removal = discovery::decode_removal(node->data, path);
     const auto* last = done_.find(instance);
     const bool is_last = last == nullptr || removal.given_ms > last->given_ms;
-    if (removal.instance == instance && is_last) return removal.given_ms;
+    if (removal.instance == instance && is_last) return Removal{removal.given_ms, *std::move(signer)};
   } catch (const config::Error& e) {
     logger.warn("{}", e.what());
   }
@@ -506,7 +508,8 @@ void OrderFeed::take(const discovery::InstanceId& instance, const discovery::Nod
 
 void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Node& node) {
   const std::string path = paths_.order(gateway_, instance);
-  if (!is_signed(path, node)) {
+  auto signer = signer_of(path, node);
+  if (!signer) {
     return refuse(instance, path, "the order for {}, which no trusted master has signed",
                   "If this fleet's orders are older than its keys: `iotcloud registry export`, look at them, and "
                   "`import --replace`");
@@ -540,7 +543,7 @@ void OrderFeed::read(const discovery::InstanceId& instance, const discovery::Nod
   epoch_ = std::max(epoch_.load(), order.epoch);
   if (!masters_) return listener_.on_order(order, node.version);
   if (due_.empty()) loop_.post([this] { follow_due(); });
-  due_[instance] = {order, node};
+  due_[instance] = {order, node.created, node.version, *std::move(signer)};
 }
 
 /// Whether the registry has the node by which a master with this epoch stands for election. That of a master which lost
@@ -571,8 +574,8 @@ void OrderFeed::follow_due() {
     const auto* last = done_.find(instance);
     if (last == nullptr || last->removed || last->given_ms != one.order.given_ms) fresh.insert(instance);
     orders.push_back(followed(instance, one.order.given_ms));
-    orders.back().created = one.node.created;
-    orders.back().version = one.node.version;
+    orders.back().created = one.created;
+    orders.back().version = one.version;
   }
   try {
     done_.add(orders);
@@ -589,17 +592,17 @@ void OrderFeed::follow_due() {
   for (const auto& [instance, one] : due) {
     first_.erase(instance);
     if (fresh.contains(instance))
-      audit_followed(instance, one.node, paths_.order(gateway_, instance), one.order.plugin);
-    listener_.on_order(one.order, one.node.version);
+      audit_followed(instance, one.signer, paths_.order(gateway_, instance), one.order.plugin);
+    listener_.on_order(one.order, one.version);
   }
 }
 
 /// \param what the order is about, besides its instance
-void OrderFeed::audit_followed(const discovery::InstanceId& instance, const discovery::Node& node,
+void OrderFeed::audit_followed(const discovery::InstanceId& instance, const std::string& signer,
                                const std::string& path, const std::string& what) const {
   if (!listener_.audit || !masters_) return;
   security::AuditEntry entry;
-  entry.who = security::signer_of_object(*masters_, path, node.data);
+  entry.who = signer;
   entry.role = to_string(security::Role::master);
   entry.address = "registry";
   entry.order = path;
@@ -615,8 +618,11 @@ bool OrderFeed::is_out_of_date(const discovery::OrderRecord& order) const {
   return !first_.contains(order.instance) && order.given_ms < started_ms_ - discovery::clocks_differ.count();
 }
 
-bool OrderFeed::is_signed(const std::string& path, const discovery::Node& node) const {
-  return !masters_ || !security::signer_of_object(*masters_, path, node.data).empty();
+/// \return the master who signed what stands there, or "" where orders need no signature; nullopt: no trusted one did.
+std::optional<std::string> OrderFeed::signer_of(const std::string& path, const discovery::Node& node) const {
+  if (!masters_) return "";
+  std::string signer = security::signer_of_object(*masters_, path, node.data);
+  return signer.empty() ? std::nullopt : std::optional(std::move(signer));
 }
 
 /// \param path of what is refused \param what a format with the instance

@@ -116,17 +116,21 @@ class OrderFeed {
   void order_changed(const discovery::InstanceId& instance, const std::optional<discovery::Node>& node);
   void take(const discovery::InstanceId& instance, const discovery::Node& node);
   void read(const discovery::InstanceId& instance, const discovery::Node& node);
-  bool is_signed(const std::string& path, const discovery::Node& node) const;
+  std::optional<std::string> signer_of(const std::string& path, const discovery::Node& node) const;
   bool is_out_of_date(const discovery::OrderRecord& order) const;
   bool leads_now(std::int64_t epoch) const;
-  void audit_followed(const discovery::InstanceId& instance, const discovery::Node& node, const std::string& path,
+  void audit_followed(const discovery::InstanceId& instance, const std::string& signer, const std::string& path,
                       const std::string& what) const;
   FollowedOrder followed(const discovery::InstanceId& instance, std::int64_t given_ms) const;
   void follow_due();
   void read_refused_later();
   Instances without_removal(const Instances& names);
-  std::optional<std::int64_t> removed_at(const discovery::InstanceId& instance,
-                                         const std::optional<discovery::Node>& node) const;
+  struct Removal {
+    std::int64_t given_ms = 0;
+    std::string signer;
+  };
+  std::optional<Removal> removal_of(const discovery::InstanceId& instance,
+                                    const std::optional<discovery::Node>& node) const;
   void watch_removal(const discovery::InstanceId& instance);
   void clear_removals(const Instances& gone);
   void refuse(const discovery::InstanceId& instance, const std::string& path, const std::string& what,
@@ -148,7 +152,9 @@ class OrderFeed {
   /// With the keys of masters: an order that is followed when it stands in done_.
   struct Due {
     discovery::OrderRecord order;
-    discovery::Node node;
+    std::int64_t created = 0;  ///< of its node
+    std::int64_t version = 0;  ///< of its node
+    std::string signer;
   };
   std::map<discovery::InstanceId, Due> due_;
   Instances first_;              ///< orders that stood there at the start or at an adoption, and are not read yet
