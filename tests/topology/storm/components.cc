@@ -31,9 +31,9 @@ void write_file(const Config& config, const topology::TopologyContext& context, 
   std::filesystem::rename(partial, path);
 }
 
-/// Emits the numbers 1 to `count` with a key of ten, a payload and a text, and again those that failed; at the end says
-/// how many were done and how often one failed. On the stream `chosen` it names the tasks of the component `direct` in
-/// turn.
+/// Emits the numbers 1 to `count` with a key of ten, a payload and a text, and again those that failed; when
+/// `told_from` of them (default: all) are done says how many were done and how often one failed. On the stream `chosen`
+/// it names the tasks of the component `direct` in turn.
 class Numbers final : public topology::Spout {
  public:
   void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
@@ -46,6 +46,7 @@ class Numbers final : public topology::Spout {
     context_ = &context;
     collector_ = &collector;
     count_ = std::stoll(config.at("count"));
+    told_from_ = config.contains("told_from") ? std::stoll(config.at("told_from")) : count_;
   }
   bool next_tuple() override {
     if (!again_.empty()) {
@@ -80,7 +81,7 @@ class Numbers final : public topology::Spout {
                      static_cast<topology::MessageId>(n));
   }
   void write() {
-    if (acked_ < count_) return;
+    if (acked_ < told_from_) return;
     write_file(config_, *context_, "done " + std::to_string(acked_) + "\nfailed " + std::to_string(failed_) + "\n");
   }
 
@@ -88,6 +89,7 @@ class Numbers final : public topology::Spout {
   const topology::TopologyContext* context_ = nullptr;
   topology::SpoutOutputCollector* collector_ = nullptr;
   std::int64_t count_ = 0;
+  std::int64_t told_from_ = 0;
   std::int64_t next_ = 1;
   std::int64_t acked_ = 0;
   std::int64_t failed_ = 0;
@@ -171,6 +173,29 @@ class Count final : public topology::BasicBolt {
   std::set<std::int64_t> numbers_;
 };
 
+/// Its first execute() returns when the test has written into the pipe `go`. Writes how many tuples it executed, and
+/// the number that it executed last of each key.
+class Newest final : public topology::BasicBolt {
+ public:
+  void prepare(const Config& config, const topology::TopologyContext& context) override {
+    config_ = config;
+    context_ = &context;
+  }
+  void execute(const Tuple& tuple, topology::BasicOutputCollector&) override {
+    if (executed_++ == 0) std::ifstream(std::filesystem::path(config_.at("out")) / "go").get();
+    newest_[tuple.get<std::string>("key")] = tuple.get<std::int64_t>("n");
+    std::string text = "executed " + std::to_string(executed_) + "\n";
+    for (const auto& [key, number] : newest_) text += key + " " + std::to_string(number) + "\n";
+    write_file(config_, *context_, text);
+  }
+
+ private:
+  Config config_;
+  const topology::TopologyContext* context_ = nullptr;
+  std::int64_t executed_ = 0;
+  std::map<std::string, std::int64_t> newest_;
+};
+
 /// Chooses the task whose place is the number modulo the count of tasks.
 class ByNumber final : public topology::Grouping {
  public:
@@ -195,5 +220,6 @@ IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
   registry.add_bolt<Fussy>("test.Fussy");
   registry.add_bolt<Later>("test.Later");
   registry.add_bolt<Count>("test.Count");
+  registry.add_bolt<Newest>("test.Newest");
   registry.add_grouping<ByNumber>("test.ByNumber");
 }

@@ -4,23 +4,15 @@ answers from other threads; what `iotcloud-storm` says of them.
 
 usage: components_run_on_storm.py BUILD LIBRARY     (BUILD: build/release; LIBRARY: the library of components.cc)
 """
-import json
-import os
 import subprocess
 import sys
-import tempfile
-import time
-import unittest
 import zipfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
-from private_server import Unavailable, java_environment  # noqa: E402
-from storm import Storm  # noqa: E402
-import storm_jar  # noqa: E402
+from private_server import java_environment  # noqa: E402
+from storm_case import StormCase, run  # noqa: E402
 
-SKIPPED = 77
-LIMIT_S = 120
 COUNT = 4000
 TASKS = 4
 GROUPINGS = {
@@ -54,48 +46,7 @@ bolts:
 {bolts}"""
 
 
-class ComponentsOnStorm(unittest.TestCase):
-    build = library = storm = None
-
-    @classmethod
-    def setUpClass(cls):
-        cls.place = tempfile.TemporaryDirectory(prefix="iotcloud-storm-")
-        cls.addClassCleanup(cls.place.cleanup)
-        cls.storm = Storm(os.path.join(cls.place.name, "storm"))
-        cls.addClassCleanup(cls.storm.stop)
-        cls.storm.start()
-
-    def run_program(self, *words):
-        return subprocess.run([self.build / "bin" / "iotcloud-storm", *words], text=True, capture_output=True, check=False)
-
-    def ask(self, *words):
-        done = self.run_program(*words, "--nimbus", self.storm.url())
-        self.assertEqual(done.returncode, 0, done.stderr + self.logs())
-        return done.stdout
-
-    def table(self, *words):
-        return json.loads(self.ask(*words, "--json"))
-
-    def logs(self):
-        """What the workers' logs say of errors, for a failure's text."""
-        told = ""
-        for file in sorted((Path(self.storm.folder) / "logs" / "workers-artifacts").rglob("worker.log*")):
-            lines = file.read_text(errors="replace").splitlines()
-            errors = [number for number, line in enumerate(lines) if "[ERROR]" in line or file.suffix == ".err"]
-            told += "\n== %s\n%s" % (file, "\n".join(line for number in errors[:3] for line in lines[number:number + 12]))
-        return told
-
-    def counts(self, folder, component):
-        """By task, what it wrote: by word, a number."""
-        return {int(file.suffix[1:]): {word: int(number) for word, number in map(str.split, file.read_text().splitlines())}
-                for file in folder.glob(component + ".[0-9]*") if not file.name.endswith(".partial")}
-
-    def wait_for(self, what, holds):
-        limit = time.monotonic() + LIMIT_S
-        while not holds():
-            self.assertLess(time.monotonic(), limit, "%s within %d s%s" % (what, LIMIT_S, self.logs()))
-            time.sleep(0.1)
-
+class ComponentsOnStorm(StormCase):
     def test_a_chain_and_every_grouping_over_two_workers(self):
         out = Path(self.place.name) / "out"
         out.mkdir()
@@ -181,16 +132,5 @@ class ComponentsOnStorm(unittest.TestCase):
         self.assertNotIn("counts", [row["name"] for row in self.table("list")])
 
 
-def main():
-    ComponentsOnStorm.build, ComponentsOnStorm.library = map(Path, sys.argv[1:3])
-    try:
-        storm_jar.build()
-        runner = unittest.main(argv=sys.argv[:1], exit=False)
-    except Unavailable as reason:
-        print(reason)
-        return 1 if os.environ.get("CI") == "true" else SKIPPED
-    return 0 if runner.result.wasSuccessful() else 1
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(run(ComponentsOnStorm, *sys.argv[1:3]))

@@ -42,9 +42,9 @@ class Refusals(unittest.TestCase):
         self.assertRegex(said, "topology SDK")
 
     def test_what_storm_lacks(self):
-        status, said = self.submit(self.library, more="bolts:\n  b: {class: test.Count, inputs: {from: in, keep_last: 1}}\n")
+        status, said = self.submit(self.library, more="bolts:\n  b: {class: test.Count, scope: worker, inputs: {from: in, grouping: global}}\n")
         self.assertEqual(status, 1)
-        self.assertRegex(said, r"t\.yaml:6:\d+: bolts\.b\.inputs: Storm's queues keep all tuples")
+        self.assertRegex(said, r"t\.yaml:6:\d+: bolts\.b\.scope: on Storm b gets the tuples of all workers")
 
     def test_no_nimbus(self):
         port = free_ports(1)[0]

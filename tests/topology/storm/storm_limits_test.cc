@@ -95,7 +95,6 @@ const std::vector<Row> rows{
     {"SystemStream", head + "  b: {class: System, inputs: {from: in}}\n", "t.yaml:5:7: bolts.b.class", "another name"},
     {"StreamTwice", head + "  b: {class: Pass, inputs: [{from: in}, {from: in, grouping: all}]}\n",
      "t.yaml:5:20: bolts.b.inputs", "remove an input"},
-    {"KeepLast", head + "  b: {class: Pass, inputs: {from: in, keep_last: 1}}\n", "t.yaml:5:", "remove \"keep_last\""},
     {"ScopeOfABolt", head + "  b: {class: Pass, scope: worker, inputs: {from: in, grouping: global}}\n",
      "t.yaml:5:20: bolts.b.scope", "remove \"scope\""},
     {"ScopeOfATopology",
@@ -126,9 +125,9 @@ INSTANTIATE_TEST_SUITE_P(Rows, StormLimits, testing::ValuesIn(rows),
 
 TEST(StormLimitsTest, AllErrorsOfAFileAreSaidTogether) {
   EXPECT_THAT(
-      refusal_of("topology.name: a.b\nspouts:\n  in: {class: Numbers}\nbolts:\n  b: {class: Pass, inputs: {from: in, "
-                 "keep_last: 1}}\n"),
-      AllOf(HasSubstr("topology.name"), HasSubstr("keep_last")));
+      refusal_of("topology.name: a.b\nspouts:\n  in: {class: Numbers}\nbolts:\n  b: {class: Pass, scope: worker, "
+                 "inputs: {from: in, grouping: all}}\n"),
+      AllOf(HasSubstr("topology.name"), HasSubstr("bolts.b.scope")));
 }
 
 TEST(StormLimitsTest, WhatStormCanDoIsNotRefused) {

@@ -1,4 +1,5 @@
 // What a task's C++ side makes of the calls of Java: a test plays Java, and reads the commands.
+#include <atomic>
 #include <cstring>
 #include <functional>
 #include <memory>
@@ -140,6 +141,10 @@ struct BoltTask {
     java.apply(host->execute(slot, 0, 1, bytes));
     return java.taken();
   }
+  std::int64_t keep(std::uint32_t slot, const Values& values) {
+    const auto bytes = bytes_of(values);
+    return host->keep(slot, 0, 1, bytes);
+  }
   Java java;
   AnswerQueue queue;
   Calls* bolt = nullptr;
@@ -268,6 +273,58 @@ TEST(StormBoltHost, ALateTupleIsNotExecuted) {
   const std::int64_t now = config::system_clock().wall_ms();
   EXPECT_THAT(task.execute(1, Values("x", now)), ElementsAre("emit stream 1 @1: in time, born", "ack 1"));
   EXPECT_THAT(task.execute(2, Values("x", now - 60'000)), ElementsAre("emit stream 1 @2: x, born", "ack 2"));
+}
+
+TEST(StormBoltHost, OfAnInputWithKeepLastOnlyTheNewestTuplesOfAKeyAreExecuted) {
+  const auto keep = [](ComponentSpec& spec) {
+    InputSpec input;
+    input.from = "a";
+    input.keep_last = 1;
+    input.keep_key = Fields{"text"};
+    spec.inputs.push_back(input);
+  };
+  BoltTask task(
+      [](const Tuple& tuple, OutputCollector& out) {
+        if (tuple.is_tick()) return out.emit(Values("tick"));
+        out.emit(tuple, Values(tuple.get<std::string>("text")));
+        out.ack(tuple);
+      },
+      described(), keep);
+  ASSERT_TRUE(task.host->keeps());
+  std::vector<std::int64_t> replaced;
+  for (const auto& [slot, text] : {std::pair(1U, "x"), {2U, "y"}, {3U, "x"}})
+    replaced.push_back(task.keep(slot, Values(text)));
+  EXPECT_THAT(replaced, ElementsAre(-1, -1, 1));
+  task.host->request_tick();
+  const auto next = [&] {
+    task.java.apply(static_cast<std::size_t>(task.host->run_next()));
+    return task.java.taken();
+  };
+  // The newest x has the place of the one that it replaced.
+  EXPECT_THAT(next(), ElementsAre("emit stream 1: tick", "emit stream 1 @3: x", "ack 3"));
+  EXPECT_THAT(next(), ElementsAre("emit stream 1 @2: y", "ack 2"));
+  task.host->end_keeping();
+  EXPECT_EQ(task.host->run_next(), -1);
+}
+
+TEST(StormKeptTuples, AnInputThatKeepsAllWaitsForRoom) {
+  KeptTuples kept({});
+  Tuple tuple;
+  BoltTask source([&](const Tuple& given, OutputCollector&) { tuple = given; });
+  source.execute(1, Values("x"));
+  for (std::size_t i = 0; i < KeptTuples::capacity; ++i) EXPECT_FALSE(kept.put(tuple));
+  std::atomic<bool> put{false};
+  std::thread other([&] {
+    kept.put(tuple);
+    put = true;
+  });
+  EXPECT_FALSE(put);
+  EXPECT_TRUE(kept.next().tuple);
+  other.join();
+  EXPECT_TRUE(put);
+  kept.end();
+  EXPECT_TRUE(kept.next().end);
+  tuple = {};  // before its host
 }
 
 /// A spout that emits once for each call, and fails at the third.

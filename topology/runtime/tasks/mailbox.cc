@@ -9,71 +9,7 @@ namespace {
 
 constexpr std::size_t ahead = 4;
 
-void append_bytes(std::string& key, const void* data, std::size_t size) {
-  key.append(static_cast<const char*>(data), size);
-}
-
-/// Appends the kind, and before a string's or payload's bytes their number, so that different values never give equal
-/// keys.
-void append_value(std::string& key, const Value& value) {
-  key.push_back(static_cast<char>(value.index()));
-  const auto append_sized = [&key](const void* data, std::size_t size) {
-    append_bytes(key, &size, sizeof size);
-    append_bytes(key, data, size);
-  };
-  if (const auto* b = std::get_if<bool>(&value)) key.push_back(*b ? 1 : 0);
-  if (const auto* i = std::get_if<std::int64_t>(&value)) append_bytes(key, i, sizeof *i);
-  if (const auto* d = std::get_if<double>(&value)) append_bytes(key, d, sizeof *d);
-  if (const auto* s = std::get_if<std::string>(&value)) append_sized(s->data(), s->size());
-  if (const auto* p = std::get_if<Payload>(&value)) append_sized(p->data(), p->size());
-}
-
 }  // namespace
-
-// keep_last.
-
-std::string Conflater::key_of(const KeepLast& input, const TupleCell& cell) const {
-  // Two inputs may have equal keys: the stream's address tells them apart.
-  const auto stream = reinterpret_cast<std::uintptr_t>(input.stream);
-  std::string key;
-  append_bytes(key, &stream, sizeof stream);
-  for (const std::size_t position : input.key) append_value(key, cell.values[position]);
-  return key;
-}
-
-TupleCell* Conflater::put(TupleCell* cell) {
-  const auto input =
-      std::find_if(inputs_.begin(), inputs_.end(), [&](const auto& i) { return i.stream == cell->stream; });
-  if (input == inputs_.end()) {
-    line_.push_back({cell, nullptr});
-    return nullptr;
-  }
-  // the map never moves its keys, so line_ may point to them
-  const auto at = by_key_.try_emplace(key_of(*input, *cell)).first;
-  Kept& kept = at->second;
-  kept.push_back(cell);
-  if (kept.size() <= input->keep) {
-    line_.push_back({nullptr, &at->first});
-    return nullptr;
-  }
-  TupleCell* oldest = kept.front();
-  kept.pop_front();
-  return oldest;
-}
-
-TupleCell* Conflater::take() {
-  if (line_.empty()) return nullptr;
-  const Place place = line_.front();
-  line_.pop_front();
-  if (place.cell != nullptr) return place.cell;
-  const auto at = by_key_.find(*place.key);
-  TupleCell* cell = at->second.front();
-  at->second.pop_front();
-  if (at->second.empty()) by_key_.erase(at);
-  return cell;
-}
-
-// The mailbox.
 
 Mailbox::Mailbox(const Task& owner, std::size_t capacity, std::vector<KeepLast> keep_last)
     : owner_(owner),
@@ -95,7 +31,7 @@ void Mailbox::put_conflated(std::span<TupleCell* const> cells) {
   {
     const config::MutexLock lock(mutex_);
     for (TupleCell* cell : cells) {
-      if (TupleCell* oldest = conflater_->put(cell)) replaced.push_back(oldest);
+      if (auto* oldest = static_cast<TupleCell*>(conflater_->put(cell))) replaced.push_back(oldest);
     }
     depth_.fetch_add(cells.size() - replaced.size());
   }
@@ -134,7 +70,7 @@ TupleCell* Mailbox::next() {
   }
   if (conflater_) {
     const config::MutexLock lock(mutex_);
-    return conflater_->take();
+    return static_cast<TupleCell*>(conflater_->take());
   }
   batch_.clear();
   next_ = 0;

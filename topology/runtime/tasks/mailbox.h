@@ -3,46 +3,15 @@
 #include <atomic>
 #include <cstddef>
 #include <cstdint>
-#include <deque>
 #include <memory>
 #include <span>
-#include <string>
-#include <unordered_map>
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/topology/runtime/tasks/conflater.h>
 #include <iotcloud/topology/runtime/tasks/tracking.h>
 
 namespace iotcloud::topology::internal {
-
-/// The keep_last of one input: of its waiting tuples the mailbox keeps the newest `keep` of each key.
-struct KeepLast {
-  const detail::StreamInfo* stream = nullptr;
-  std::size_t keep = 1;
-  std::vector<std::size_t> key;  ///< positions of the key's values in the tuple; empty: all tuples have one key
-};
-
-/// The queue of a mailbox of which some inputs have keep_last. A key keeps its place in the queue: a newer tuple is
-/// executed when the one that it replaces would have been. Not thread safe.
-class Conflater {
- public:
-  explicit Conflater(std::vector<KeepLast> inputs) : inputs_(std::move(inputs)) {}
-  /// Adds a tuple. \return the tuple that it replaces, which the caller must ack and release, or nullptr.
-  TupleCell* put(TupleCell* cell);
-  TupleCell* take();  ///< removes the next tuple; nullptr: nothing waits
-
- private:
-  using Kept = std::deque<TupleCell*>;
-  struct Place {
-    TupleCell* cell = nullptr;         ///< a tuple of an input without keep_last
-    const std::string* key = nullptr;  ///< if `cell` is null: stands for the oldest tuple of this key
-  };
-  std::string key_of(const KeepLast& input, const TupleCell& cell) const;
-
-  std::vector<KeepLast> inputs_;
-  std::deque<Place> line_;
-  std::unordered_map<std::string, Kept> by_key_;  ///< has only keys of which tuples wait
-};
 
 /// The queue of tuples of a bolt task. Emitting tasks add tuples in batches. A task whose target mailbox is full
 /// does not run until the mailbox is half empty. put(), block_until_room(), depth(), room() and superseded() may be

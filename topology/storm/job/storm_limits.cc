@@ -99,16 +99,6 @@ void check_double_inputs(Check& check) {
   }
 }
 
-void check_keep_last(Check& check) {
-  for (const auto& component : check.topology.components) {
-    const bool keeps = std::any_of(component.inputs.begin(), component.inputs.end(),
-                                   [](const InputSpec& input) { return input.keep_last > 0; });
-    if (!keeps) continue;
-    refuse(check, component.id, "inputs", "Storm's queues keep all tuples, there is no keep_last",
-           "remove \"keep_last\", give the bolt a \"deadline\", or run the topology with iotcloud-topology");
-  }
-}
-
 /// `scope: worker` says that a result for each worker is meant; on Storm an input regroups over all of them.
 void check_scope(Check& check) {
   for (const auto& bolt : check.definition.bolts) {
@@ -228,8 +218,8 @@ void note_without_meaning(Check& check) {
 std::vector<std::string> check_limits(const TopologyDefinition& definition, const Topology& topology) {
   Check check{definition, topology, {}};
   definition.root.all_errors([&] {
-    for (const auto part : {check_name, check_endpoints, check_streams, check_double_inputs, check_keep_last,
-                            check_scope, check_state, check_secrets, check_holds, note_without_meaning}) {
+    for (const auto part : {check_name, check_endpoints, check_streams, check_double_inputs, check_scope, check_state,
+                            check_secrets, check_holds, note_without_meaning}) {
       part(check);
     }
   });

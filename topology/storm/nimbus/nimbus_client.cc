@@ -8,7 +8,6 @@
 #include <thrift/TApplicationException.h>
 #include <thrift/protocol/TBinaryProtocol.h>
 #include <thrift/transport/TBufferTransports.h>
-#include <thrift/transport/TTransportException.h>
 
 #include "iotcloud/topology/storm/Nimbus.h"
 #include <iotcloud/rpc/listen_settings.h>
@@ -18,7 +17,6 @@
 namespace iotcloud::topology::storm {
 
 using apache::thrift::TException;
-using apache::thrift::transport::TTransportException;
 using std::chrono::milliseconds;
 
 namespace {

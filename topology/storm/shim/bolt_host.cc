@@ -20,6 +20,7 @@ struct BoltHost::Received final : detail::TupleData {
 
   BoltHost* host = nullptr;
   std::uint32_t slot = 0;
+  std::size_t input = 0;
   std::atomic<bool> answered{false};  ///< also of a tick, which Java does not keep
 };
 
@@ -34,6 +35,8 @@ std::chrono::microseconds shorter(std::chrono::microseconds a, std::chrono::micr
 BoltHost::BoltHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink,
                    AnswerQueue& queue)
     : TaskHost(task, std::move(component), buffer, sink), queue_(queue) {
+  std::vector<internal::KeepLast> keep_last;
+  streams_.reserve(task_.inputs.size());  // keep_last points to them
   for (const TaskDescription::Input& input : task_.inputs) {
     streams_.push_back({input.component, input.stream, input.fields});
     const auto same = [&](const InputSpec& given) {
@@ -42,11 +45,18 @@ BoltHost::BoltHost(const TaskDescription& task, Component component, std::span<s
     const auto given = std::find_if(spec_.inputs.begin(), spec_.inputs.end(), same);
     const auto own = given == spec_.inputs.end() ? std::chrono::microseconds(0) : given->deadline;
     deadlines_ns_.push_back(std::chrono::nanoseconds(shorter(spec_.deadline, own)).count());
+    if (given == spec_.inputs.end() || given->keep_last == 0) continue;
+    internal::KeepLast& keep = keep_last.emplace_back(internal::KeepLast{&streams_.back(), given->keep_last, {}});
+    for (const std::string& field : given->keep_key.empty() ? given->fields : given->keep_key)
+      keep.key.push_back(input.fields.find(field).value());  // build() checked that it is there
   }
+  if (!keep_last.empty()) kept_ = std::make_unique<KeptTuples>(std::move(keep_last));
   bolt_ = spec_.bolt();
 }
 
-BoltHost::~BoltHost() = default;
+BoltHost::~BoltHost() {
+  if (kept_) kept_->end();  // its tuples call this object
+}
 
 void BoltHost::open_component() {
   bolt_->prepare(spec_.config, context_, *this);
@@ -58,22 +68,58 @@ void BoltHost::close_component() {
 
 std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_task,
                               std::span<const std::byte> values) {
+  Received* received = receive(slot, input, source_task);
+  const Tuple tuple(received);
   const OwnCall own(*this);
+  if (guarded("execute()", [&] { decode(*received, input, values); })) {
+    run(tuple, input);
+  } else {
+    answer(Answer::fail, tuple);
+  }
+  return commands_.take();
+}
+
+std::int64_t BoltHost::keep(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values) {
+  Received* received = receive(slot, input, source_task);
+  const Tuple tuple(received);
+  try {
+    decode(*received, input, values);
+    const Tuple replaced = kept_->put(tuple);
+    if (!replaced) return -1;
+    auto& its = static_cast<Received&>(*replaced.data());
+    its.answered.store(true);
+    return its.slot;
+  } catch (const std::exception& error) {
+    report_error(error.what());
+    answer(Answer::fail, tuple);
+    return -1;
+  }
+}
+
+BoltHost::Received* BoltHost::receive(std::uint32_t slot, std::size_t input, int source_task) {
   Received* received = Received::Objects::take();
   received->host = this;
   received->slot = slot;
+  received->input = input;
   received->answered.store(false, std::memory_order_relaxed);
   received->stream = &streams_[input];
   received->source_task = source_task;
   received->born_ns = 0;
-  const Tuple tuple(received);
-  current_ = received;
+  return received;
+}
+
+void BoltHost::decode(Received& received, std::size_t input, std::span<const std::byte> values) const {
+  std::int64_t born_ms = 0;
+  const bool births = task_.inputs[input].births;
+  received.values = decode_values(values, births ? &born_ms : nullptr);
+  if (births) received.born_ns = birth_of(born_ms);
+}
+
+void BoltHost::run(const Tuple& tuple, std::size_t input) {
+  const auto& received = static_cast<const Received&>(*tuple.data());
+  current_ = &received;
   const bool done = guarded("execute()", [&] {
-    std::int64_t born_ms = 0;
-    const bool births = task_.inputs[input].births;
-    received->values = decode_values(values, births ? &born_ms : nullptr);
-    if (births) received->born_ns = birth_of(born_ms);
-    if (late(*received, input)) {
+    if (late(received, input)) {
       give_up_late(tuple);
     } else {
       bolt_->execute(tuple);
@@ -81,7 +127,15 @@ std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_
   });
   if (!done) answer(Answer::fail, tuple);
   current_ = nullptr;
-  return commands_.take();
+}
+
+std::int64_t BoltHost::run_next() {
+  const KeptTuples::Next next = kept_->next();
+  const OwnCall own(*this);
+  write_answers();
+  if (next.tick) run_tick();
+  if (next.tuple) run(next.tuple, static_cast<const Received&>(*next.tuple.data()).input);
+  return next.end ? -1 : static_cast<std::int64_t>(commands_.take());
 }
 
 bool BoltHost::late(const Received& tuple, std::size_t input) const {
@@ -96,6 +150,11 @@ void BoltHost::give_up_late(const Tuple& tuple) {
 
 std::size_t BoltHost::tick() {
   const OwnCall own(*this);
+  run_tick();
+  return commands_.take();
+}
+
+void BoltHost::run_tick() {
   Received* received = Received::Objects::take();
   received->host = this;
   received->answered.store(true, std::memory_order_relaxed);
@@ -104,11 +163,15 @@ std::size_t BoltHost::tick() {
   received->born_ns = 0;
   const Tuple tuple(received);
   guarded("execute() of a tick", [&] { bolt_->execute(tuple); });
-  return commands_.take();
 }
 
 std::size_t BoltHost::take_answers() {
   const OwnCall own(*this);
+  write_answers();
+  return commands_.take();
+}
+
+void BoltHost::write_answers() {
   std::vector<std::pair<Answer, std::uint32_t>> answers;
   std::vector<std::string> errors;
   {
@@ -118,7 +181,6 @@ std::size_t BoltHost::take_answers() {
   }
   for (const auto& [answer, slot] : answers) write(answer, slot);
   for (const std::string& error : errors) commands_.error(error);
-  return commands_.take();
 }
 
 std::chrono::microseconds BoltHost::own_tick_period() const {
@@ -167,7 +229,15 @@ void BoltHost::put(Answer answer, std::uint32_t slot) {
     first = answers_.empty() && errors_.empty();
     answers_.emplace_back(answer, slot);
   }
-  if (first) queue_.put(*this);
+  if (first) tell();
+}
+
+void BoltHost::tell() {
+  if (kept_) {
+    kept_->wake();
+  } else {
+    queue_.put(*this);
+  }
 }
 
 void BoltHost::write(Answer answer, std::uint32_t slot) {
@@ -194,7 +264,7 @@ void BoltHost::report_error(const std::string& text) {
     first = answers_.empty() && errors_.empty();
     errors_.push_back(text);
   }
-  if (first) queue_.put(*this);
+  if (first) tell();
 }
 
 }  // namespace iotcloud::topology::storm

@@ -10,6 +10,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/bolt.h>
 #include <iotcloud/topology/storm/shim/answer_queue.h>
+#include <iotcloud/topology/storm/shim/kept_tuples.h>
 #include <iotcloud/topology/storm/shim/task_host.h>
 
 namespace iotcloud::topology::storm {
@@ -29,6 +30,18 @@ class BoltHost final : public TaskHost, private OutputCollector {
   std::size_t tick();
   std::size_t take_answers();
 
+  /// Whether an input has keep_last. Then keep() and request_tick() are called on any thread, in place of execute() and
+  /// tick(), and a thread of Java calls run_next() again and again.
+  bool keeps() const { return kept_ != nullptr; }
+  /// Queues a tuple; waits for room if its input has no keep_last. \return the slot of the tuple that it replaces,
+  /// which Java acks; -1: it replaces none
+  std::int64_t keep(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values);
+  void request_tick() { kept_->request_tick(); }
+  /// Waits for a tuple, a tick or answers, and lets the bolt execute them. \return as execute(); -1: end_keeping() was
+  /// called.
+  std::int64_t run_next();
+  void end_keeping() { kept_->end(); }
+
   /// How often Java itself calls tick(), because Storm's own ticks come every whole number of seconds; 0: it need not.
   std::chrono::microseconds own_tick_period() const;
 
@@ -44,6 +57,14 @@ class BoltHost final : public TaskHost, private OutputCollector {
   void reset_timeout(const Tuple& tuple) override { answer(Answer::reset, tuple); }
   void report_error(const std::string& text) override;
 
+  Received* receive(std::uint32_t slot, std::size_t input, int source_task);
+  void decode(Received& received, std::size_t input, std::span<const std::byte> values) const;
+  /// Lets the bolt execute a tuple.
+  void run(const Tuple& tuple, std::size_t input);
+  void run_tick();
+  void write_answers();
+  /// Tells Java's thread that answers wait.
+  void tell();
   void answer(Answer answer, const Tuple& tuple);
   void put(Answer answer, std::uint32_t slot);
   void write(Answer answer, std::uint32_t slot);
@@ -56,6 +77,7 @@ class BoltHost final : public TaskHost, private OutputCollector {
   std::vector<std::int64_t> deadlines_ns_;   ///< of the inputs; 0: none
   const detail::StreamInfo tick_stream_{system_component, tick_stream, {}};
   std::unique_ptr<Bolt> bolt_;
+  std::unique_ptr<KeptTuples> kept_;    ///< null: no input has keep_last
   const Received* current_ = nullptr;   ///< the tuple in execute()
   std::vector<std::uint32_t> anchors_;  ///< only used in do_emit(); a member, to keep its memory
 

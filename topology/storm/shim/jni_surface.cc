@@ -234,6 +234,31 @@ JNIEXPORT jlong JNICALL Java_iotcloud_storm_Native_ownTickMicros(JNIEnv*, jclass
   return task_at(handle).bolt->own_tick_period().count();
 }
 
+JNIEXPORT jboolean JNICALL Java_iotcloud_storm_Native_keeps(JNIEnv*, jclass, jlong handle) {
+  return task_at(handle).bolt->keeps() ? JNI_TRUE : JNI_FALSE;
+}
+
+JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_keep(JNIEnv* env, jclass, jlong handle, jint slot, jint input,
+                                                       jint source_task, jint size) {
+  return guarded(env, [&] {
+    Task& task = task_at(handle);
+    return static_cast<jint>(task.bolt->keep(static_cast<std::uint32_t>(slot), static_cast<std::size_t>(input),
+                                             source_task, task.input.first(static_cast<std::size_t>(size))));
+  });
+}
+
+JNIEXPORT void JNICALL Java_iotcloud_storm_Native_requestTick(JNIEnv*, jclass, jlong handle) {
+  task_at(handle).bolt->request_tick();
+}
+
+JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_runNext(JNIEnv* env, jclass, jlong handle) {
+  return guarded(env, [&] { return static_cast<jint>(task_at(handle).bolt->run_next()); });
+}
+
+JNIEXPORT void JNICALL Java_iotcloud_storm_Native_endKeeping(JNIEnv*, jclass, jlong handle) {
+  task_at(handle).bolt->end_keeping();
+}
+
 JNIEXPORT jlong JNICALL Java_iotcloud_storm_Native_awaitAnswers(JNIEnv*, jclass) {
   return reinterpret_cast<jlong>(&answers().wait());
 }

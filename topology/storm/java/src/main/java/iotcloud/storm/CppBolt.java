@@ -16,7 +16,7 @@ import org.apache.storm.utils.TupleUtils;
 
 /**
  * A bolt of C++. Storm's executor, the thread of ticks and the thread of answers call it, each under its monitor, in which
- * it alone emits and answers.
+ * it alone emits and answers. A bolt that keeps only the newest tuples of an input runs on a thread of its own instead.
  */
 public class CppBolt implements IBolt {
   private static final long serialVersionUID = 1;
@@ -27,6 +27,7 @@ public class CppBolt implements IBolt {
   private transient boolean flushes;
   private transient Map<Integer, List<Source>> sources;
   private transient ScheduledFuture<?> ticks;
+  private transient Thread keeper;
 
   /** The component of the topology's file whose id is this component's. */
   public CppBolt(String file) {
@@ -69,6 +70,11 @@ public class CppBolt implements IBolt {
       collector.reportError(error);
       throw error;
     }
+    if (Native.keeps(task.handle)) {
+      keeper = new Thread(this::runKept, context.getThisComponentId() + "-" + context.getThisTaskId() + "-kept");
+      keeper.setDaemon(true);
+      keeper.start();
+    }
     long micros = Native.ownTickMicros(task.handle);
     if (micros > 0) {
       ticks = Timers.every(micros, this::tick);
@@ -88,22 +94,45 @@ public class CppBolt implements IBolt {
   }
 
   @Override
-  public synchronized void execute(Tuple tuple) {
+  public void execute(Tuple tuple) {
     if (TupleUtils.isTick(tuple)) {
-      task.apply(Native.tick(task.handle));
+      tick();
       return;
     }
+    int slot;
     int size;
-    try {
-      size = task.input.write(tuple.getValues());
-    } catch (ValueWriter.NoValue error) {
-      collector.reportError(new ComponentError(
-          error.of(tuple.getSourceComponent() + "/" + tuple.getSourceStreamId(), tuple.getFields().get(error.place()))));
-      collector.fail(tuple);
-      return;
+    synchronized (this) {
+      try {
+        size = task.input.write(tuple.getValues());
+      } catch (ValueWriter.NoValue error) {
+        String source = tuple.getSourceComponent() + "/" + tuple.getSourceStreamId();
+        collector.reportError(new ComponentError(error.of(source, tuple.getFields().get(error.place()))));
+        collector.fail(tuple);
+        return;
+      }
+      slot = slots.put(tuple);
+      if (keeper == null) {
+        task.apply(Native.execute(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size));
+        return;
+      }
     }
-    int input = inputOf(tuple);
-    task.apply(Native.execute(task.handle, slots.put(tuple), input, tuple.getSourceTask(), size));
+    // Not in the monitor: it waits while too many tuples wait, and the keeper needs the monitor.
+    int replaced = Native.keep(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size);
+    if (replaced >= 0) {
+      synchronized (this) {
+        collector.ack(slots.take(replaced));
+      }
+    }
+  }
+
+  /** The thread that lets a bolt execute the tuples that it kept. */
+  private void runKept() {
+    for (int size = Native.runNext(task.handle); size >= 0; size = Native.runNext(task.handle)) {
+      synchronized (this) {
+        task.apply(size);
+        flush();
+      }
+    }
   }
 
   private int inputOf(Tuple tuple) {
@@ -119,6 +148,10 @@ public class CppBolt implements IBolt {
   }
 
   private synchronized void tick() {
+    if (keeper != null) {
+      Native.requestTick(task.handle);
+      return;
+    }
     task.apply(Native.tick(task.handle));
     flush();
   }
@@ -136,15 +169,31 @@ public class CppBolt implements IBolt {
   }
 
   @Override
-  public synchronized void cleanup() {
+  public void cleanup() {
     if (ticks != null) {
       ticks.cancel(false);
     }
-    task.apply(Native.close(task.handle));
+    if (keeper != null) {
+      Native.endKeeping(task.handle);
+      try {
+        keeper.join();
+      } catch (InterruptedException interrupted) {
+        Thread.currentThread().interrupt();
+        return;
+      }
+    }
+    synchronized (this) {
+      task.apply(Native.close(task.handle));
+    }
   }
 
   /** Applies the component's commands. */
   private final class BoltCollector implements NativeTask.Collector {
+    @Override
+    public Object monitor() {
+      return CppBolt.this;
+    }
+
     @Override
     public void emit(String stream, int to, int[] anchors, int count, List<Object> values) {
       if (count == 1) {

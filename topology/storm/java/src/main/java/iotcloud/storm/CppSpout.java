@@ -78,6 +78,11 @@ public class CppSpout implements ISpout {
     }
 
     @Override
+    public Object monitor() {
+      return this;
+    }
+
+    @Override
     public void emit(String stream, int to, Long id, List<Object> values) {
       if (to < 0) {
         collector.emit(stream, values, id);

@@ -6,7 +6,7 @@ import java.nio.charset.StandardCharsets;
 import org.slf4j.Logger;
 import org.slf4j.LoggerFactory;
 
-/** The functions of libiotcloud_storm.so. All but awaitAnswers() return at once. */
+/** The functions of libiotcloud_storm.so. awaitAnswers(), runNext() and keep() may wait; the others return at once. */
 final class Native {
   private static final String LOGGER = "iotcloud";
   private static final int LEVEL_PERIOD_MS = 1000;
@@ -91,6 +91,19 @@ final class Native {
   static native int fail(long task, long id);
 
   static native int activate(long task, boolean on);
+
+  /** Whether an input of the bolt has keep_last: then keep() and requestTick() are called, and a thread calls runNext(). */
+  static native boolean keeps(long task);
+
+  /** Queues a tuple. Returns the slot of the tuple that it replaces, which Java acks, or -1. */
+  static native int keep(long task, int slot, int input, int sourceTask, int size);
+
+  static native void requestTick(long task);
+
+  /** Waits for something to do, and does it. Returns -1 after endKeeping(). */
+  static native int runNext(long task);
+
+  static native void endKeeping(long task);
 
   /** How often the shim ticks the bolt; 0: Storm does, or nobody. */
   static native long ownTickMicros(long task);

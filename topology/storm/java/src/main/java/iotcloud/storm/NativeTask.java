@@ -30,6 +30,9 @@ final class NativeTask {
 
   /** What commands are about. */
   interface Collector {
+    /** The object in whose monitor everything is emitted and answered. */
+    Object monitor();
+
     void emit(String stream, int task, int[] anchors, int count, List<Object> values);
 
     void emit(String stream, int task, Long id, List<Object> values);
@@ -83,8 +86,17 @@ final class NativeTask {
     LockSupport.unpark(executor);
   }
 
-  /** Applies the commands in the first bytes of the output; C++ calls it, too, when the output is full. */
+  /**
+   * Applies the commands in the first bytes of the output, under the collector's monitor; C++ calls it, too, when the output
+   * is full.
+   */
   void apply(int size) {
+    synchronized (collector.monitor()) {
+      applyAll(size);
+    }
+  }
+
+  private void applyAll(int size) {
     output.clear().limit(size);
     while (output.hasRemaining()) {
       byte command = output.get();

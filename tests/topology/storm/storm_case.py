@@ -1,0 +1,75 @@
+"""What tests of components on a private Storm have in common: the cluster, `iotcloud-storm`, and the files that the
+components of components.cc write."""
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import unittest
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
+from private_server import Unavailable  # noqa: E402
+from storm import Storm  # noqa: E402
+import storm_jar  # noqa: E402
+
+SKIPPED = 77
+LIMIT_S = 120
+
+
+class StormCase(unittest.TestCase):
+    """A private Storm for the tests of a class; `place` is a folder for their files."""
+
+    build = library = storm = None
+
+    @classmethod
+    def setUpClass(cls):
+        cls.place = tempfile.TemporaryDirectory(prefix="iotcloud-storm-")
+        cls.addClassCleanup(cls.place.cleanup)
+        cls.storm = Storm(os.path.join(cls.place.name, "storm"))
+        cls.addClassCleanup(cls.storm.stop)
+        cls.storm.start()
+
+    def run_program(self, *words):
+        return subprocess.run([self.build / "bin" / "iotcloud-storm", *words], text=True, capture_output=True, check=False)
+
+    def ask(self, *words):
+        done = self.run_program(*words, "--nimbus", self.storm.url())
+        self.assertEqual(done.returncode, 0, done.stderr + self.logs())
+        return done.stdout
+
+    def table(self, *words):
+        return json.loads(self.ask(*words, "--json"))
+
+    def logs(self):
+        """What the workers' logs say of errors, for a failure's text."""
+        told = ""
+        for file in sorted((Path(self.storm.folder) / "logs" / "workers-artifacts").rglob("worker.log*")):
+            lines = file.read_text(errors="replace").splitlines()
+            errors = [number for number, line in enumerate(lines) if "[ERROR]" in line or file.suffix == ".err"]
+            told += "\n== %s\n%s" % (file, "\n".join(line for number in errors[:3] for line in lines[number:number + 12]))
+        return told
+
+    def counts(self, folder, component):
+        """By task, what it wrote: by word, a number."""
+        return {int(file.suffix[1:]): {word: int(number) for word, number in map(str.split, file.read_text().splitlines())}
+                for file in folder.glob(component + ".[0-9]*") if not file.name.endswith(".partial")}
+
+    def wait_for(self, what, holds):
+        limit = time.monotonic() + LIMIT_S
+        while not holds():
+            self.assertLess(time.monotonic(), limit, "%s within %d s%s" % (what, LIMIT_S, self.logs()))
+            time.sleep(0.1)
+
+
+def run(case, build, library):
+    """Runs the tests of a StormCase. Returns the exit status of the program."""
+    case.build, case.library = Path(build), Path(library)
+    try:
+        storm_jar.build()
+        tests = unittest.defaultTestLoader.loadTestsFromTestCase(case)
+        return 0 if unittest.TextTestRunner().run(tests).wasSuccessful() else 1
+    except Unavailable as reason:
+        print(reason)
+        return 1 if os.environ.get("CI") == "true" else SKIPPED
