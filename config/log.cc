@@ -1,7 +1,10 @@
+#include <algorithm>
 #include <atomic>
 #include <memory>
 #include <string>
+#include <vector>
 
+#include <dlfcn.h>
 #include <nlohmann/json.hpp>
 #include <spdlog/sinks/stdout_sinks.h>
 #include <spdlog/spdlog.h>
@@ -9,6 +12,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/log_settings.h>
+#include <iotcloud/config/mutex.h>
 
 namespace iotcloud::config {
 
@@ -53,7 +57,48 @@ spdlog::logger& sink() {
   return logger;
 }
 
+/// The function iotcloud_follow_log() of a library.
+using Follow = void (*)(LogLevel, LogFormat, LogTarget) noexcept;
+
+/// The libraries that log as this process.
+class Followers {
+ public:
+  void add(Follow follow) {
+    const MutexLock lock(mutex_);
+    if (std::find(all_.begin(), all_.end(), follow) == all_.end()) all_.push_back(follow);
+    follow(log_level(), log_format(), line_target);
+  }
+  void tell() {
+    const MutexLock lock(mutex_);
+    for (const Follow follow : all_) follow(log_level(), log_format(), line_target);
+  }
+
+ private:
+  Mutex mutex_;
+  std::vector<Follow> all_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
+Followers& followers() {
+  static Followers& libraries = *new Followers;
+  return libraries;
+}
+
 }  // namespace
+
+/// The process that opened this library finds it by its name.
+extern "C" __attribute__((visibility("default"))) void iotcloud_follow_log(LogLevel level, LogFormat format,
+                                                                           LogTarget target) noexcept {
+  try {
+    set_log_level(level);
+    set_log_format(format);
+    set_log_target(target);
+  } catch (...) {  // it logs as before
+  }
+}
+
+void share_log(void* library) {
+  if (const auto follow = reinterpret_cast<Follow>(dlsym(library, "iotcloud_follow_log"))) followers().add(follow);
+}
 
 void log_line(LogLevel level, std::string_view part, std::string_view text) noexcept {
   try {
@@ -70,15 +115,18 @@ void log_line(LogLevel level, std::string_view part, std::string_view text) noex
 
 void set_log_target(LogTarget target) {
   line_target = target;
+  followers().tell();
 }
 
 void set_log_level(LogLevel level) {
   sink().set_level(to_spdlog(level));
+  followers().tell();
 }
 
 void set_log_format(LogFormat format) {
   sink().set_pattern(format == LogFormat::json ? json_pattern : text_pattern);
   line_format = format;
+  followers().tell();
 }
 
 LogFormat log_format() {

@@ -28,6 +28,11 @@ using LogTarget = void (*)(LogLevel level, std::string_view part, std::string_vi
 /// For a library in a process with a log of its own. Thread safe. \param target nullptr: stderr
 void set_log_target(LogTarget target);
 
+/// Makes the code of this project in a library, which has a log of its own, log as this process does: its level, format
+/// and target, also when they change. A library without such code is left alone. Thread safe. \param library of
+/// dlopen(), never unloaded
+void share_log(void* library);
+
 /// The section `log` of a daemon's configuration file, which SIGHUP reads again. Missing keys change nothing.
 struct LogSettings {
   std::optional<LogLevel> level;

@@ -4,6 +4,7 @@
 #include <dlfcn.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/log_settings.h>
 #include <iotcloud/config/shared_library.h>
 #include <iotcloud/topology/runtime/component_library.h>
 
@@ -28,6 +29,7 @@ ComponentLibrary::ComponentLibrary(std::string path) : path_(std::move(path)) {
     throw config::Error(path_ + " was built for C++ ABI \"" + descriptor_->cxx_abi + "\", this program for \"" +
                         cxx_abi + "\"; build it with the same compiler and standard library");
   }
+  config::share_log(handle);
 }
 
 void ComponentLibrary::fill(ComponentRegistry& registry) const {

@@ -1,7 +1,11 @@
+#include <iotcloud/config/log.h>
 #include <iotcloud/topology/plugin.h>
 
 namespace {
+const iotcloud::config::Logger logger{"good"};
+
 struct Echo : iotcloud::topology::BasicBolt {
+  Echo() { logger.debug("an Echo is made"); }
   void execute(const iotcloud::topology::Tuple&, iotcloud::topology::BasicOutputCollector&) override {}
 };
 }  // namespace
