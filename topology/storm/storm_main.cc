@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <functional>
 #include <optional>
+#include <set>
 
 #include <CLI/CLI.hpp>
 
@@ -35,6 +36,23 @@ std::map<std::string, int> executors_of(const std::vector<std::string>& words) {
   return executors;
 }
 
+/// "LOGGER=LEVEL", or "LOGGER=". \throws config::Error for another text.
+std::map<std::string, std::string> levels_of(const std::vector<std::string>& words) {
+  static const std::set<std::string> known{"", "ALL", "TRACE", "DEBUG", "INFO", "WARN", "ERROR", "FATAL", "OFF"};
+  std::map<std::string, std::string> levels;
+  for (const auto& word : words) {
+    const auto equals = word.rfind('=');
+    const std::string level = equals == std::string::npos ? "" : word.substr(equals + 1);
+    if (equals == 0 || equals == std::string::npos || !known.contains(level)) {
+      throw iotcloud::config::Error("\"" + word +
+                                    "\" is not of the form LOGGER=LEVEL, such as iotcloud=DEBUG (TRACE, DEBUG, INFO, "
+                                    "WARN, ERROR, OFF), or LOGGER= for the level of before");
+    }
+    levels[word.substr(0, equals)] = level;
+  }
+  return levels;
+}
+
 /// The words of the command line, and the verb that they name.
 struct Words {
   storm::StormCall call;
@@ -43,10 +61,12 @@ struct Words {
   std::string name;
   std::string window = ":all-time";
   std::vector<std::string> executors;
+  std::vector<std::string> levels;
   std::optional<int> workers;
   int patience_s = 30;
   int limit_s = 120;
   int wait_s = 30;
+  int time_out_s = 0;
   std::function<int()> verb;
 
   CLI::App* add(CLI::App& app, const char* name_of_verb, const char* what, std::function<int()> run) {
@@ -100,6 +120,12 @@ void Words::declare(CLI::App& app) {
   }));
   rebalance->add_option("COMPONENT=EXECUTORS", executors, "how many tasks of a component may run at the same time");
   rebalance->add_option("--workers", workers, "worker processes")->check(CLI::Range(1, 10'000));
+  CLI::App* set_log_level = of_topology(add(app, "set_log_level", "change what the workers log", [&] {
+    return storm::set_log_levels(call, name, levels_of(levels), seconds(time_out_s));
+  }));
+  set_log_level->add_option("LOGGER=LEVEL", levels, "iotcloud=DEBUG for what this project logs")->required();
+  set_log_level->add_option("--time-out", time_out_s, "seconds after which the levels are as before; 0: none")
+      ->check(CLI::Range(0, 86'400));
   CLI::App* kill =
       of_topology(add(app, "kill", "end a topology", [&] { return storm::kill(call, name, seconds(wait_s)); }));
   for (CLI::App* made : {rebalance, kill}) {

@@ -281,6 +281,17 @@ int rebalance(const StormCall& call, const std::string& name, std::optional<int>
   return 0;
 }
 
+int set_log_levels(const StormCall& call, const std::string& name, const std::map<std::string, std::string>& levels,
+                   seconds time_out) {
+  auto nimbus = connect(call);
+  nimbus.set_log_levels(name, levels, time_out);
+  for (const auto& [logger, level] : levels) {
+    fmt::print("{}: the workers' logger {} has {}{}\n", name, logger, level.empty() ? "its level of before" : level,
+               time_out.count() == 0 ? "" : fmt::format(" for {} s", time_out.count()));
+  }
+  return 0;
+}
+
 int kill(const StormCall& call, const std::string& name, seconds wait) {
   auto nimbus = connect(call);
   nimbus.kill(name, wait);

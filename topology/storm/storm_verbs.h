@@ -28,6 +28,9 @@ int errors(const StormCall& call, const std::string& name);
 int set_active(const StormCall& call, const std::string& name, bool active);
 int rebalance(const StormCall& call, const std::string& name, std::optional<int> workers,
               const std::map<std::string, int>& executors, std::chrono::seconds wait);
+/// \param levels by logger's name; empty: as before. \param time_out after which they are as before; 0: none
+int set_log_levels(const StormCall& call, const std::string& name, const std::map<std::string, std::string>& levels,
+                   std::chrono::seconds time_out);
 int kill(const StormCall& call, const std::string& name, std::chrono::seconds wait);
 
 }  // namespace iotcloud::topology::storm

@@ -13,6 +13,7 @@
 
 #include <unistd.h>
 
+#include <iotcloud/config/log.h>
 #include <iotcloud/topology/plugin.h>
 
 namespace {
@@ -22,6 +23,8 @@ using topology::Config;
 using topology::Fields;
 using topology::Tuple;
 using topology::Values;
+
+const iotcloud::config::Logger logger{"test"};
 
 /// A file that is replaced as a whole.
 void write_file(const Config& config, const topology::TopologyContext& context, const std::string& text) {
@@ -94,6 +97,104 @@ class Numbers final : public topology::Spout {
   std::int64_t acked_ = 0;
   std::int64_t failed_ = 0;
   std::deque<std::int64_t> again_;
+};
+
+/// Emits a number every `period_ms`, and those that failed again. Writes the calls of activate() and deactivate(), and
+/// how many numbers it emitted and were acked.
+class Steady final : public topology::Spout {
+ public:
+  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"n", "key"});
+  }
+  void open(const Config& config, const topology::TopologyContext& context,
+            topology::SpoutOutputCollector& collector) override {
+    config_ = config;
+    context_ = &context;
+    collector_ = &collector;
+    period_ = std::chrono::milliseconds(std::stoll(config.at("period_ms")));
+    next_ = context.clock->now();
+  }
+  bool next_tuple() override {
+    if (context_->clock->now() < next_) return false;
+    next_ += period_;
+    std::int64_t n = ++emitted_;
+    if (!again_.empty()) {
+      n = again_.front();
+      again_.pop_front();
+      --emitted_;
+    }
+    collector_->emit(Values(n, "k" + std::to_string(n % 10)), static_cast<topology::MessageId>(n));
+    logger.debug("number {} is emitted", n);
+    write();
+    return true;
+  }
+  void activate() override {
+    ++activated_;
+    write();
+  }
+  void deactivate() override {
+    ++deactivated_;
+    write();
+  }
+  void ack(topology::MessageId) override {
+    ++acked_;
+    write();
+  }
+  void fail(topology::MessageId id) override { again_.push_back(static_cast<std::int64_t>(id)); }
+
+ private:
+  void write() {
+    write_file(config_, *context_,
+               "emitted " + std::to_string(emitted_) + "\nacked " + std::to_string(acked_) + "\nactivated " +
+                   std::to_string(activated_) + "\ndeactivated " + std::to_string(deactivated_) + "\n");
+  }
+
+  Config config_;
+  const topology::TopologyContext* context_ = nullptr;
+  topology::SpoutOutputCollector* collector_ = nullptr;
+  std::chrono::milliseconds period_{0};
+  iotcloud::config::Clock::Instant next_;
+  std::int64_t emitted_ = 0;
+  std::int64_t acked_ = 0;
+  std::int64_t activated_ = 0;
+  std::int64_t deactivated_ = 0;
+  std::deque<std::int64_t> again_;
+};
+
+/// The frame that a crash's report must name.
+[[gnu::noinline]] void crash_of_the_test() {
+  volatile int* volatile nowhere = nullptr;
+  *nowhere = 1;
+}
+
+/// Crashes when the file `crash` appears in the folder `out`, which it removes first.
+class Crash final : public topology::BasicBolt {
+ public:
+  void prepare(const Config& config, const topology::TopologyContext&) override {
+    file_ = std::filesystem::path(config.at("out")) / "crash";
+  }
+  void execute(const Tuple&, topology::BasicOutputCollector&) override {
+    if (std::filesystem::remove(file_)) crash_of_the_test();
+  }
+
+ private:
+  std::filesystem::path file_;
+};
+
+/// Executes its first tuple for 3 s.
+class Slow final : public topology::BasicBolt {
+ public:
+  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"n", "key", "payload", "text"});
+  }
+  void execute(const Tuple& tuple, topology::BasicOutputCollector& collector) override {
+    if (first_) std::this_thread::sleep_for(std::chrono::seconds(3));
+    first_ = false;
+    collector.emit(Values(tuple.at("n"), tuple.at("key"), tuple.at("payload"), tuple.at("text")));
+  }
+
+ private:
+  bool first_ = true;
 };
 
 /// Emits what it gets; throws at the first copy of every hundredth number that it gets.
@@ -217,6 +318,9 @@ class ByNumber final : public topology::Grouping {
 
 IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
   registry.add_spout<Numbers>("test.Numbers");
+  registry.add_spout<Steady>("test.Steady");
+  registry.add_bolt<Crash>("test.Crash");
+  registry.add_bolt<Slow>("test.Slow");
   registry.add_bolt<Fussy>("test.Fussy");
   registry.add_bolt<Later>("test.Later");
   registry.add_bolt<Count>("test.Count");

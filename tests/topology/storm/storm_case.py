@@ -15,13 +15,13 @@ from storm import Storm  # noqa: E402
 import storm_jar  # noqa: E402
 
 SKIPPED = 77
-LIMIT_S = 120
 
 
 class StormCase(unittest.TestCase):
     """A private Storm for the tests of a class; `place` is a folder for their files."""
 
     build = library = storm = None
+    limit_s = 120  # for each wait
 
     @classmethod
     def setUpClass(cls):
@@ -42,13 +42,17 @@ class StormCase(unittest.TestCase):
     def table(self, *words):
         return json.loads(self.ask(*words, "--json"))
 
+    def artifacts(self, pattern):
+        """Files that the workers left."""
+        return sorted((Path(self.storm.folder) / "logs" / "workers-artifacts").rglob(pattern))
+
     def logs(self):
         """What the workers' logs say of errors, for a failure's text."""
         told = ""
-        for file in sorted((Path(self.storm.folder) / "logs" / "workers-artifacts").rglob("worker.log*")):
+        for file in self.artifacts("worker.log*"):
             lines = file.read_text(errors="replace").splitlines()
             errors = [number for number, line in enumerate(lines) if "[ERROR]" in line or file.suffix == ".err"]
-            told += "\n== %s\n%s" % (file, "\n".join(line for number in errors[:3] for line in lines[number:number + 12]))
+            told += "\n== %s\n%s" % (file, "\n".join(line[:300] for number in errors[:3] for line in lines[number:number + 12]))
         return told
 
     def counts(self, folder, component):
@@ -57,9 +61,9 @@ class StormCase(unittest.TestCase):
                 for file in folder.glob(component + ".[0-9]*") if not file.name.endswith(".partial")}
 
     def wait_for(self, what, holds):
-        limit = time.monotonic() + LIMIT_S
+        limit = time.monotonic() + self.limit_s
         while not holds():
-            self.assertLess(time.monotonic(), limit, "%s within %d s%s" % (what, LIMIT_S, self.logs()))
+            self.assertLess(time.monotonic(), limit, "%s within %d s%s" % (what, self.limit_s, self.logs()))
             time.sleep(0.1)
 
 

@@ -106,6 +106,11 @@ idl::StormTopology read_topology(const std::string& bytes) {
   return topology;
 }
 
+/// Nimbus knows no topology of the name.
+struct NotAlive : NimbusError {
+  using NimbusError::NimbusError;
+};
+
 }  // namespace
 
 struct NimbusClient::Impl {
@@ -150,7 +155,7 @@ struct NimbusClient::Impl {
         if (!leader) find_leader();
         return make(leader->client);
       } catch (const idl::NotAliveException& error) {
-        throw NimbusError("no such topology runs: " + error.msg);
+        throw NotAlive("no such topology runs: " + error.msg);
       } catch (const idl::AuthorizationException& error) {
         throw NimbusError("Nimbus does not permit it: " + error.msg);
       } catch (const idl::InvalidTopologyException& error) {
@@ -164,6 +169,29 @@ struct NimbusClient::Impl {
         leader.reset();
         if (tries > 1) throw NimbusError(fmt::format("Nimbus {}: {}", to, error.what()));
       }
+    }
+  }
+
+  bool lists(const std::string& name) {
+    return ask([&](Client& client) {
+      std::vector<idl::TopologySummary> running_now;
+      client.getTopologySummaries(running_now);
+      return std::any_of(running_now.begin(), running_now.end(), [&](const auto& one) { return one.name == name; });
+    });
+  }
+
+  /// Makes a call about a topology. A Nimbus that has just begun to lead may say that a topology is not alive which it
+  /// lists: then the call is made again.
+  template <typename Call>
+  void order(const std::string& name, Call&& make) {
+    const auto end = std::chrono::steady_clock::now() + patience;
+    while (true) {
+      try {
+        return ask(make);
+      } catch (const NotAlive&) {
+        if (!lists(name) || std::chrono::steady_clock::now() >= end) throw;
+      }
+      std::this_thread::sleep_for(search_pause);
     }
   }
 
@@ -200,8 +228,7 @@ std::string NimbusClient::version() const {
 
 void NimbusClient::submit(const std::string& name, const std::string& conf, const std::string& topology,
                           const std::string& jar, const std::function<void(std::size_t, std::size_t)>& progress) {
-  const auto all = topologies();
-  if (std::any_of(all.begin(), all.end(), [&](const RunningTopology& one) { return one.name == name; }))
+  if (impl_->lists(name))
     throw NimbusError("a topology \"" + name +
                       "\" runs already; kill it first, or give the file another topology.name");
   const std::string location = impl_->upload(file_text(jar), progress);
@@ -212,10 +239,7 @@ void NimbusClient::submit(const std::string& name, const std::string& conf, cons
   impl_->ask([&](Client& client) {
     if (std::exchange(asked, true)) {
       // Whether the first call, whose connection broke, was carried out.
-      std::vector<idl::TopologySummary> running_now;
-      client.getTopologySummaries(running_now);
-      if (std::any_of(running_now.begin(), running_now.end(), [&](const auto& one) { return one.name == name; }))
-        return;
+      if (impl_->lists(name)) return;
       throw NimbusError("the connection to Nimbus broke while it took the topology over; submit it again");
     }
     client.submitTopologyWithOpts(name, location, conf, graph, options);
@@ -257,12 +281,18 @@ std::optional<TopologyDetails> NimbusClient::details(const std::string& name) {
   return details;
 }
 
+std::string NimbusClient::id_of(const std::string& name) {
+  for (const auto& topology : topologies()) {
+    if (topology.name == name) return topology.id;
+  }
+  throw NimbusError("no topology \"" + name + "\" runs");
+}
+
 std::vector<ComponentCounts> NimbusClient::counts(const std::string& name, const std::string& window) {
-  const auto found = details(name);
-  if (!found) throw NimbusError("no topology \"" + name + "\" runs");
+  const std::string id = id_of(name);
   const auto page = impl_->ask([&](Client& client) {
     idl::TopologyPageInfo answer;
-    client.getTopologyPageInfo(answer, found->topology.id, window, false);
+    client.getTopologyPageInfo(answer, id, window, false);
     return answer;
   });
   std::vector<ComponentCounts> counts;
@@ -272,11 +302,11 @@ std::vector<ComponentCounts> NimbusClient::counts(const std::string& name, const
 }
 
 void NimbusClient::activate(const std::string& name) {
-  impl_->ask([&](Client& client) { client.activate(name); });
+  impl_->order(name, [&](Client& client) { client.activate(name); });
 }
 
 void NimbusClient::deactivate(const std::string& name) {
-  impl_->ask([&](Client& client) { client.deactivate(name); });
+  impl_->order(name, [&](Client& client) { client.deactivate(name); });
 }
 
 void NimbusClient::rebalance(const std::string& name, std::optional<int> workers,
@@ -285,13 +315,27 @@ void NimbusClient::rebalance(const std::string& name, std::optional<int> workers
   options.__set_wait_secs(static_cast<std::int32_t>(wait.count()));
   if (workers) options.__set_num_workers(*workers);
   if (!executors.empty()) options.__set_num_executors({executors.begin(), executors.end()});
-  impl_->ask([&](Client& client) { client.rebalance(name, options); });
+  impl_->order(name, [&](Client& client) { client.rebalance(name, options); });
 }
 
 void NimbusClient::kill(const std::string& name, std::chrono::seconds wait) {
   idl::KillOptions options;
   options.__set_wait_secs(static_cast<std::int32_t>(wait.count()));
-  impl_->ask([&](Client& client) { client.killTopologyWithOpts(name, options); });
+  impl_->order(name, [&](Client& client) { client.killTopologyWithOpts(name, options); });
+}
+
+void NimbusClient::set_log_levels(const std::string& name, const std::map<std::string, std::string>& levels,
+                                  std::chrono::seconds time_out) {
+  const std::string id = id_of(name);
+  idl::LogConfig config;
+  for (const auto& [logger, level] : levels) {
+    idl::LogLevel& changed = config.named_logger_level[logger];
+    changed.action = level.empty() ? idl::LogLevelAction::REMOVE : idl::LogLevelAction::UPDATE;
+    if (!level.empty()) changed.__set_target_log_level(level);
+    changed.__set_reset_log_level_timeout_secs(static_cast<std::int32_t>(time_out.count()));
+  }
+  config.__isset.named_logger_level = true;
+  impl_->ask([&](Client& client) { client.setLogConfig(id, config); });
 }
 
 }  // namespace iotcloud::topology::storm

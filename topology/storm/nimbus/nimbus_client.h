@@ -108,8 +108,14 @@ class NimbusClient {
   void rebalance(const std::string& name, std::optional<int> workers, const std::map<std::string, int>& executors,
                  std::chrono::seconds wait);
   void kill(const std::string& name, std::chrono::seconds wait);
+  /// Changes the levels of a topology's loggers in its workers. \param levels "DEBUG", ..., by logger's name; empty: as
+  /// before the first change. \param time_out after which they are as before; 0: none
+  void set_log_levels(const std::string& name, const std::map<std::string, std::string>& levels,
+                      std::chrono::seconds time_out);
 
  private:
+  std::string id_of(const std::string& name);
+
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };

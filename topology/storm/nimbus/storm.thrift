@@ -160,6 +160,18 @@ struct TopologyPageInfo {
   10: optional map<string, ComponentAggregateStats> id_to_bolt_agg_stats
 }
 
+enum LogLevelAction {
+  UNCHANGED = 1, UPDATE = 2, REMOVE = 3
+}
+struct LogLevel {
+  1: required LogLevelAction action
+  2: optional string target_log_level
+  3: optional i32 reset_log_level_timeout_secs
+}
+struct LogConfig {
+  2: optional map<string, LogLevel> named_logger_level
+}
+
 exception AlreadyAliveException {
   1: required string msg
 }
@@ -183,6 +195,7 @@ service Nimbus {
   void deactivate(1: string name) throws (1: NotAliveException e, 2: AuthorizationException aze)
   void rebalance(1: string name, 2: RebalanceOptions options)
     throws (1: NotAliveException e, 2: InvalidTopologyException ite, 3: AuthorizationException aze)
+  void setLogConfig(1: string id, 2: LogConfig config)
   string beginFileUpload() throws (1: AuthorizationException aze)
   void uploadChunk(1: string location, 2: binary chunk) throws (1: AuthorizationException aze)
   void finishFileUpload(1: string location) throws (1: AuthorizationException aze)
