@@ -4,6 +4,7 @@ a room, a person and a seed of its own, and one topology serves all robots.
 
 Local mode runs everything in one process on the embedded broker and registry. `--cluster` runs RabbitMQ, ZooKeeper, a
 master, two gateways and a topology worker as processes, private to this run, and deploys the driver with the CLI.
+`--engine storm` runs the same cluster with Apache Storm in place of the worker.
 The figures come from the traces that the turtle driver writes (drivers/turtle/README.md), one row for each frame.
 """
 
@@ -45,12 +46,14 @@ def fleet(options, out):
 def arguments():
     parser = argparse.ArgumentParser(prog="./dev demo", description="The TurtleBot follows a person.")
     parser.add_argument("--cluster", action="store_true", help="real parts, each its own process")
+    parser.add_argument("--engine", choices=["storm"], metavar="NAME",
+                        help="storm: the cluster's topology runs on a private Apache Storm")
     parser.add_argument("--seconds", type=float, default=20, metavar="N", help="how long to follow (default 20)")
     parser.add_argument("--robots", type=int, default=1, metavar="N",
                         help="so many robots at 10 Hz each, on two gateways (default 1, at 30 Hz)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="of the simulated room and person (default 1); the next robots' are the next numbers")
     parser.add_argument("--broker", choices=["embedded", "rabbitmq", "kafka", "activemq"], metavar="NAME",
-                        help="embedded, or a private rabbitmq, kafka or activemq (default: embedded; with --cluster"
+                        help="embedded, or a private rabbitmq, kafka or activemq (default: embedded; of a cluster"
                              " rabbitmq)")
     parser.add_argument("--json", metavar="FILE", help="write the report there too")
     parser.add_argument("--lockstep", action="store_true",
@@ -62,6 +65,7 @@ def arguments():
         parser.error("--seconds: between 2 and 3600")
     if not 1 <= options.robots <= MOST_ROBOTS:
         parser.error(f"--robots: between 1 and {MOST_ROBOTS}")
+    options.cluster = options.cluster or options.engine is not None
     if options.broker is None:
         options.broker = "rabbitmq" if options.cluster else "embedded"
     if options.cluster and options.broker != "rabbitmq":
@@ -165,7 +169,7 @@ def main():
     for old in out.glob("trace*.csv"):
         old.unlink()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    mode = modes.Cluster if options.cluster else modes.OneProcess
+    mode = modes.Storm if options.engine else modes.Cluster if options.cluster else modes.OneProcess
     try:
         with mode(options.build, out, options.broker) as running:
             running.begin(robots)

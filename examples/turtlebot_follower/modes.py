@@ -1,6 +1,8 @@
-"""The two ways the demo runs: everything in one process, or a private cluster."""
+"""The ways the demo runs: everything in one process, or a private cluster with a worker of ours or with Apache Storm."""
 
 import re
+import shutil
+import subprocess
 import sys
 import time
 import urllib.request
@@ -12,10 +14,13 @@ sys.path.insert(0, str(HERE.parent.parent / "tests/servers"))
 
 from private_cluster import (Children, PrivateCluster, StartError, Unavailable, cpu_seconds,  # noqa: E402,F401
                              free_port)
+import private_server  # noqa: E402
+import storm_jar  # noqa: E402
 
 # Roles of processes and the text that their command lines contain. The first match in this order counts, because command
 # lines of our programs also name the servers.
 ROLES = (("all in one process", "turtlebot-demo"), ("driver host", "iotcloud-driver-host"),
+         ("Storm's daemons", "-Ddaemon.name="), ("topology", "org.apache.storm.daemon.worker.Worker"),
          ("gateways", "iotcloud-gateway"), ("topology", "iotcloud-topology"), ("master", "iotcloud-master"),
          ("zookeeper", "zookeeper"), ("rabbitmq", "rabbit"), ("kafka", "kafka"), ("activemq", "activemq"))
 
@@ -48,7 +53,8 @@ def bolt_times(metrics_address):
 
 
 class Measurement:
-    """CPU time of all processes of this demo, and the bolts' times, between begin and end."""
+    """CPU time of all processes of this demo, and the bolts' times, between begin and end.
+    `metrics_address`: of our worker, None: there is none."""
 
     def __init__(self, out, metrics_address):
         self.marker, self.metrics_address = str(out), metrics_address
@@ -64,7 +70,8 @@ class Measurement:
                 cores[name] = cores.get(name, 0) + (seconds - before) / elapsed
         cores = {name: round(value, 3) for name, value in sorted(cores.items())}
         cores["total"] = round(sum(cores.values()), 3)
-        return {"broker": broker, "cpu_cores": cores, "bolts_ms": bolt_times(self.metrics_address)}
+        times = bolt_times(self.metrics_address) if self.metrics_address else {}
+        return {"broker": broker, "cpu_cores": cores, "bolts_ms": times}
 
 
 class OneProcess(Children):
@@ -100,18 +107,23 @@ class Cluster(PrivateCluster):
     def begin(self, robots):
         print("starting RabbitMQ, ZooKeeper, a master and two gateways ...", flush=True)
         self.start(gateways=2)
-        metrics = f"127.0.0.1:{free_port()}"
         topology = (HERE / "follower.yaml").read_text()
         topology = re.sub(r"(?m)^zk\.servers:.*$", 'zk.servers: ["{zookeeper}"]', topology)
         topology = re.sub(r"(?m)^topology\.library:.*$",
                           f'topology.library: "{self.plugins / "turtlebot_follower.so"}"', topology)
-        print("starting the topology's worker ...", flush=True)
-        self.topology("topology", f'{topology}\nmetrics: {{address: "{metrics}"}}\n')
+        metrics = self.run_topology(topology)
         self.wait_until_ready()
         print("deploying the turtle driver ...", flush=True)
         for robot in robots:
             self.deploy("turtle.so", robot.gateway, robot.properties)
         self.measurement = Measurement(self.out, metrics)
+
+    def run_topology(self, topology):
+        """Returns the address of the worker's metrics; None: it has none."""
+        metrics = f"127.0.0.1:{free_port()}"
+        print("starting the topology's worker ...", flush=True)
+        self.topology("topology", f'{topology}\nmetrics: {{address: "{metrics}"}}\n')
+        return metrics
 
     def finish(self):
         self.require_alive()
@@ -119,3 +131,29 @@ class Cluster(PrivateCluster):
         self.undeploy_all()
         self.stop()
         return measured
+
+
+class Storm(Cluster):
+    """The same, with a private Apache Storm (Nimbus, a Supervisor, a worker, a ZooKeeper of its own) for the topology."""
+
+    LIMIT_S = 300
+
+    def run_topology(self, topology):
+        try:
+            storm_jar.build()
+        except private_server.Unavailable as reason:
+            raise Unavailable(str(reason)) from reason
+        shutil.rmtree(self.out / "storm", ignore_errors=True)  # or a topology of the last run would run again
+        print("starting Storm ...", flush=True)
+        self.nimbus = self.server("storm")
+        file = self.out / "topology.yaml"
+        file.write_text(topology.replace("{zookeeper}", self.zookeeper.removeprefix("zookeeper://")))
+        print("submitting the topology ...", flush=True)
+        self.storm("submit", file, "--limit", self.LIMIT_S)
+
+    def storm(self, *words):
+        """Runs iotcloud-storm. Raises StartError with its message when it fails."""
+        done = subprocess.run([str(word) for word in (self.bin / "iotcloud-storm", *words, "--nimbus", self.nimbus)],
+                              capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise StartError(f"iotcloud-storm {words[0]}: {done.stderr.strip()}")

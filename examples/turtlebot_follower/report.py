@@ -107,7 +107,7 @@ def make_report(robots, traces, options, measured):
         **follow_figures(rows, options.seconds),
         "followed": all(robot["followed"] for robot in each),
         "seconds": min(robot["seconds"] for robot in each),
-        "mode": "cluster" if options.cluster else "local",
+        "mode": options.engine or ("cluster" if options.cluster else "local"),
         "broker": measured["broker"],
         "seed": options.seed,
         "codec": {"ratio": round(sum(row.raw_bytes for row in rows) / payload, 2) if payload else None,

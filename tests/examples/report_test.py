@@ -23,7 +23,7 @@ def trace(unanswered=()):
 
 def report_of(*traces):
     robots = [argparse.Namespace(gateway="gateway-1", properties={"seed": number}) for number in range(len(traces))]
-    return report.make_report(robots, traces, argparse.Namespace(seconds=SECONDS, cluster=False, seed=1),
+    return report.make_report(robots, traces, argparse.Namespace(seconds=SECONDS, cluster=False, engine=None, seed=1),
                               {"broker": "embedded", "bolts_ms": {}, "cpu_cores": {}})
 
 
