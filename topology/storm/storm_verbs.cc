@@ -23,6 +23,8 @@ using Json = nlohmann::ordered_json;
 using std::chrono::seconds;
 
 constexpr std::chrono::milliseconds look_pause{200};
+/// How long, after what was under way could be finished, a topology that is killed may still be listed.
+constexpr seconds kill_margin{120};
 /// Components are opened only after their executors have told Nimbus of themselves; one that cannot be opened shows
 /// within this time.
 constexpr seconds after_reports{2};
@@ -294,9 +296,20 @@ int set_log_levels(const StormCall& call, const std::string& name, const std::ma
 
 int kill(const StormCall& call, const std::string& name, seconds wait) {
   auto nimbus = connect(call);
+  const auto killed = nimbus.details(name);
   nimbus.kill(name, wait);
-  const auto is_there = [&] { return nimbus.details(name).has_value(); };
-  while (is_there()) std::this_thread::sleep_for(look_pause);
+  const auto end = std::chrono::steady_clock::now() + wait + kill_margin;
+  const auto is_there = [&] {
+    const auto now = nimbus.details(name);
+    return now && killed && now->topology.id == killed->topology.id;  // not another one that has its name since
+  };
+  while (is_there()) {
+    if (std::chrono::steady_clock::now() >= end) {
+      throw NimbusError(fmt::format("{} was told to end, and is still there {} s later: see Nimbus' log", name,
+                                    (wait + kill_margin).count()));
+    }
+    std::this_thread::sleep_for(look_pause);
+  }
   fmt::print("{} was killed\n", name);
   return 0;
 }

@@ -29,7 +29,7 @@ def yaml(library, out):
 topology.name: counts
 topology.library: {library}
 conf: {{out: "{out}", count: {COUNT}}}
-runtime: {{max_spout_pending: 500, message_timeout: 60s}}
+runtime: {{max_spout_pending: 500, message_timeout: 600s}}
 engine:
   storm:
     workers: 2
@@ -42,7 +42,7 @@ spouts:
 bolts:
   later: {{class: test.Later, inputs: {{from: numbers}}}}
   fussy: {{class: test.Fussy, inputs: {{from: later}}}}
-  end: {{class: test.Count, tick: 1s, deadline: 50s, inputs: {{from: fussy, grouping: global}}}}
+  end: {{class: test.Count, tick: 1s, deadline: 590s, inputs: {{from: fussy, grouping: global}}}}
 {bolts}"""
 
 

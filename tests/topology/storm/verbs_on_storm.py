@@ -48,6 +48,21 @@ bolts:
 """
 
 
+def untracked(library, out):
+    return f"""
+topology.name: untracked
+topology.library: {library}
+conf: {{out: "{out}", count: {COUNT}}}
+runtime: {{acking: false}}
+engine: {{storm: {{{WAITS}}}}}
+spouts:
+  numbers: {{class: test.Numbers}}
+bolts:
+  count: {{class: test.Count, tick: 200ms, inputs: {{from: numbers}}}}
+  direct: {{class: test.Count, tick: 200ms, parallelism: 2, inputs: {{from: numbers, grouping: direct, stream: chosen}}}}
+"""
+
+
 class VerbsOnStorm(StormCase):
     limit_s = 300
 
@@ -96,6 +111,19 @@ class VerbsOnStorm(StormCase):
         refused = self.run_program("show", "steady", "--nimbus", self.storm.url())
         self.assertEqual(refused.returncode, 1)
         self.assertIn('no topology "steady" runs', refused.stderr)
+
+    def test_a_spout_without_acks_that_emits_twice_in_a_call(self):
+        """Storm calls ack() inside of the first emit."""
+        self.submit(untracked(self.library, self.out))
+
+        def seen(component):
+            return sum(words["numbers"] for words in self.counts(self.out, component).values())
+        self.wait_for("all numbers are done", lambda: self.counts(self.out, "numbers"))
+        (done,) = self.counts(self.out, "numbers").values()
+        self.assertEqual(done, {"done": COUNT, "failed": 0})
+        for component in ("count", "direct"):
+            self.wait_for("%s has all" % component, lambda c=component: seen(c) == COUNT)
+        self.ask("kill", "untracked", "--wait", "0")
 
     def check_metrics(self):
         def counts():

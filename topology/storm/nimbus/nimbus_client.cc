@@ -321,7 +321,12 @@ void NimbusClient::rebalance(const std::string& name, std::optional<int> workers
 void NimbusClient::kill(const std::string& name, std::chrono::seconds wait) {
   idl::KillOptions options;
   options.__set_wait_secs(static_cast<std::int32_t>(wait.count()));
-  impl_->order(name, [&](Client& client) { client.killTopologyWithOpts(name, options); });
+  const bool was_there = impl_->lists(name);
+  try {
+    impl_->order(name, [&](Client& client) { client.killTopologyWithOpts(name, options); });
+  } catch (const NotAlive&) {
+    if (!was_there) throw;  // else the answer to an order that was taken got lost
+  }
 }
 
 void NimbusClient::set_log_levels(const std::string& name, const std::map<std::string, std::string>& levels,

@@ -28,6 +28,7 @@ public class CppBolt implements IBolt {
   private transient Map<Integer, List<Source>> sources;
   private transient ScheduledFuture<?> ticks;
   private transient Thread keeper;
+  private transient boolean closed;
 
   /** The component of the topology's file whose id is this component's. */
   public CppBolt(String file) {
@@ -148,6 +149,9 @@ public class CppBolt implements IBolt {
   }
 
   private synchronized void tick() {
+    if (closed) {
+      return;
+    }
     if (keeper != null) {
       Native.requestTick(task.handle);
       return;
@@ -157,6 +161,9 @@ public class CppBolt implements IBolt {
   }
 
   private synchronized void applyAnswers() {
+    if (closed) {
+      return;
+    }
     task.apply(Native.takeAnswers(task.handle));
     flush();
   }
@@ -183,6 +190,7 @@ public class CppBolt implements IBolt {
       }
     }
     synchronized (this) {
+      closed = true;
       task.apply(Native.close(task.handle));
     }
   }

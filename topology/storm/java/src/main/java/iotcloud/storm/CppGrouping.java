@@ -4,15 +4,15 @@ import java.nio.ByteBuffer;
 import java.nio.ByteOrder;
 import java.nio.charset.StandardCharsets;
 import java.util.ArrayList;
-import java.util.HashMap;
 import java.util.List;
 import java.util.Map;
+import java.util.concurrent.ConcurrentHashMap;
 import org.apache.storm.generated.GlobalStreamId;
 import org.apache.storm.grouping.CustomStreamGrouping;
 import org.apache.storm.task.WorkerTopologyContext;
 
 /** A grouping of a component library. Storm makes one for each executor that emits, which has an object of C++ for each
- * of its tasks. */
+ * of its tasks. Besides the executor, the thread of ticks emits for some of them. */
 public class CppGrouping implements CustomStreamGrouping {
   private static final long serialVersionUID = 1;
   private static final int BUFFER_SIZE = 1 << 16;
@@ -38,7 +38,7 @@ public class CppGrouping implements CustomStreamGrouping {
     context = worker;
     stream = from;
     targets = tasks.stream().mapToInt(Integer::intValue).sorted().toArray();
-    emitters = new HashMap<>();
+    emitters = new ConcurrentHashMap<>();
     Native.load(Description.folder(worker));
   }
 

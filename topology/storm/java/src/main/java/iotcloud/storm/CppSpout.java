@@ -1,17 +1,25 @@
 package iotcloud.storm;
 
+import java.util.ArrayDeque;
 import java.util.List;
 import java.util.Map;
+import java.util.Queue;
+import java.util.function.IntSupplier;
 import org.apache.storm.Config;
 import org.apache.storm.spout.ISpout;
 import org.apache.storm.spout.SpoutOutputCollector;
 import org.apache.storm.task.TopologyContext;
 
-/** A spout of C++. Only Storm's executor calls it, so nothing emits from another thread. */
+/**
+ * A spout of C++. Only Storm's executor calls it, so nothing emits from another thread. Without ackers Storm calls ack()
+ * inside of an emit; C++ hears of it after the call that emitted.
+ */
 public class CppSpout implements ISpout {
   private static final long serialVersionUID = 1;
   private final Origin origin;
   private transient NativeTask task;
+  private transient boolean busy;
+  private transient Queue<IntSupplier> late;
 
   /** The component of the topology's file whose id is this component's. */
   public CppSpout(String file) {
@@ -26,13 +34,14 @@ public class CppSpout implements ISpout {
   @Override
   public void open(Map<String, Object> conf, TopologyContext context, SpoutOutputCollector collector) {
     try {
+      late = new ArrayDeque<>();
       Native.load(Description.folder(context));
       task = new NativeTask(Description.of(origin, (String) conf.get(Config.TOPOLOGY_NAME), context),
           Description.outputs(context), new Emitter(collector));
       if (!Native.isSpout(task.handle)) {
         throw new IllegalArgumentException(context.getThisComponentId() + " is a bolt in C++, not a spout");
       }
-      task.apply(Native.open(task.handle));
+      run(() -> Native.open(task.handle));
     } catch (RuntimeException | UnsatisfiedLinkError error) {
       collector.reportError(error);
       throw error;
@@ -41,32 +50,52 @@ public class CppSpout implements ISpout {
 
   @Override
   public void nextTuple() {
-    task.apply(Native.nextTuple(task.handle));
+    run(() -> Native.nextTuple(task.handle));
   }
 
   @Override
   public void ack(Object id) {
-    task.apply(Native.ack(task.handle, (Long) id));
+    answer(() -> Native.ack(task.handle, (Long) id));
   }
 
   @Override
   public void fail(Object id) {
-    task.apply(Native.fail(task.handle, (Long) id));
+    answer(() -> Native.fail(task.handle, (Long) id));
   }
 
   @Override
   public void activate() {
-    task.apply(Native.activate(task.handle, true));
+    run(() -> Native.activate(task.handle, true));
   }
 
   @Override
   public void deactivate() {
-    task.apply(Native.activate(task.handle, false));
+    run(() -> Native.activate(task.handle, false));
   }
 
   @Override
   public void close() {
-    task.apply(Native.close(task.handle));
+    run(() -> Native.close(task.handle));
+  }
+
+  private void run(IntSupplier call) {
+    busy = true;
+    try {
+      task.apply(call.getAsInt());
+    } finally {
+      busy = false;
+    }
+    for (IntSupplier answer = late.poll(); answer != null; answer = late.poll()) {
+      run(answer);
+    }
+  }
+
+  private void answer(IntSupplier call) {
+    if (busy) {
+      late.add(call);
+    } else {
+      run(call);
+    }
   }
 
   /** Applies the component's commands. */

@@ -15,7 +15,18 @@ final class Timers {
 
   private Timers() {}
 
+  /** What the call throws ends this worker, as what an executor throws does: the schedule alone would drop it silently. */
   static ScheduledFuture<?> every(long micros, Runnable call) {
-    return THREAD.scheduleAtFixedRate(call, micros, micros, TimeUnit.MICROSECONDS);
+    return THREAD.scheduleAtFixedRate(() -> {
+      try {
+        call.run();
+      } catch (RuntimeException | Error error) {
+        Thread.UncaughtExceptionHandler handler = Thread.getDefaultUncaughtExceptionHandler();
+        if (handler != null) {
+          handler.uncaughtException(Thread.currentThread(), error);
+        }
+        throw error;
+      }
+    }, micros, micros, TimeUnit.MICROSECONDS);
   }
 }
