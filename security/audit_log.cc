@@ -177,7 +177,7 @@ AuditHead AuditLog::end_of_chain(const Files& files) const {
   const auto kept = read_audit_head(settings_.file);
   const std::string last = end > 0 ? tail_before(files.log, end - 1) : "";
   if (const auto link = parse_audit_link(last)) {
-    const AuditHead found{link->number, sha256_hex(last)};
+    AuditHead found{link->number, sha256_hex(last)};
     if (!kept || *kept == found || kept->number < found.number) return found;
   } else if (!kept) {
     return {0, hash_of_all(files.log, end)};

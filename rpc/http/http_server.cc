@@ -219,7 +219,7 @@ class HttpConnectionOver final : public HttpConnection,
   /// Who shares the limit of tries: the holders of one certificate, or what comes from one host. All addresses of
   /// loopback are this host.
   std::string caller() {
-    if (const std::string subject = certificate(); !subject.empty()) return subject;
+    if (std::string subject = certificate(); !subject.empty()) return subject;
     error_code ignored;
     const auto address = socket_stream().socket().remote_endpoint(ignored).address();
     return address.is_loopback() ? "localhost" : address.to_string();

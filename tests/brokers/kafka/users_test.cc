@@ -49,7 +49,8 @@ std::string text_of(rd_kafka_resp_err_t error) {
 /// A bare client, which may do anything that its user may. Each attempt has a client of its own.
 class Attempts {
  public:
-  Attempts(std::string url, std::string user) : server_(url.substr(url.find("//") + 2)), user_(std::move(user)) {}
+  Attempts(const std::string& url, std::string user)
+      : server_(url.substr(url.find("//") + 2)), user_(std::move(user)) {}
 
   /// A client that sends, for send().
   Owned<rd_kafka_t> sender() const { return make(RD_KAFKA_PRODUCER, {{"message.timeout.ms", "60000"}}); }
@@ -89,7 +90,7 @@ class Attempts {
     const rd_kafka_metadata_t* found = nullptr;
     const auto error = rd_kafka_metadata(client.get(), 0, handle.get(), &found, limit_ms);
     if (error != RD_KAFKA_RESP_ERR_NO_ERROR) return text_of(error);
-    const std::string answer = found->topic_cnt == 1 ? text_of(found->topics[0].err) : "no such topic";
+    std::string answer = found->topic_cnt == 1 ? text_of(found->topics[0].err) : "no such topic";
     rd_kafka_metadata_destroy(found);
     return answer;
   }
@@ -100,7 +101,7 @@ class Attempts {
     rd_kafka_topic_partition_list_add(list.get(), topic.c_str(), RD_KAFKA_PARTITION_UA);
     rd_kafka_subscribe(client.get(), list.get());
     rd_kafka_poll_set_consumer(client.get());
-    const std::string answer = news(client.get());
+    std::string answer = news(client.get());
     rd_kafka_consumer_close(client.get());
     return answer;
   }
