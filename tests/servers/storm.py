@@ -194,7 +194,9 @@ class Storm:
                     words = file.read().decode(errors="replace").split("\0")
             except OSError:
                 continue
-            if "-Dstorm.home=" + self.folder in words and "org.apache.storm.daemon.worker.Worker" in words:
+            # The shell that watches a worker has the worker's words, after its own.
+            if (os.path.basename(words[0]) == "java" and "-Dstorm.home=" + self.folder in words and
+                    "org.apache.storm.daemon.worker.Worker" in words):
                 ports = [word.partition("=")[2] for word in words if word.startswith("-Dworker.port=")]
                 if ports and "org.apache.storm.LogWriter" not in words:
                     found[int(ports[0])] = int(process)
