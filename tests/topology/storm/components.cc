@@ -14,6 +14,7 @@
 #include <unistd.h>
 
 #include <iotcloud/config/log.h>
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/topology/plugin.h>
 
 namespace {
@@ -113,6 +114,7 @@ class Steady final : public topology::Spout {
     collector_ = &collector;
     period_ = std::chrono::milliseconds(std::stoll(config.at("period_ms")));
     next_ = context.clock->now();
+    emissions_ = &context.metrics->counter("test_emissions_total", "Tuples that Steady emitted");
   }
   bool next_tuple() override {
     if (context_->clock->now() < next_) return false;
@@ -125,6 +127,7 @@ class Steady final : public topology::Spout {
     }
     collector_->emit(Values(n, "k" + std::to_string(n % 10)), static_cast<topology::MessageId>(n));
     logger.debug("number {} is emitted", n);
+    emissions_->add();
     write();
     return true;
   }
@@ -154,6 +157,7 @@ class Steady final : public topology::Spout {
   topology::SpoutOutputCollector* collector_ = nullptr;
   std::chrono::milliseconds period_{0};
   iotcloud::config::Clock::Instant next_;
+  iotcloud::config::Counter* emissions_ = nullptr;
   std::int64_t emitted_ = 0;
   std::int64_t acked_ = 0;
   std::int64_t activated_ = 0;

@@ -9,8 +9,10 @@
 
 #include <gmock/gmock.h>
 
+#include <iotcloud/rpc/http/http_client.h>
 #include <iotcloud/topology/storm/shim/bolt_host.h>
 #include <iotcloud/topology/storm/shim/spout_host.h>
+#include <iotcloud/topology/storm/shim/worker_pages.h>
 #include <iotcloud/topology/storm/value_format.h>
 
 namespace iotcloud::topology::storm {
@@ -98,6 +100,15 @@ TaskDescription described(bool births = false) {
   task.outputs.push_back({{"b", "chosen", Fields{"text"}, births}, true, {5, 6}});
   task.outputs.push_back({{"b", "default", Fields{"text"}, births}, false, {}});
   return task;
+}
+
+/// A counter of the task's, in this process's metrics.
+std::uint64_t counted(const std::string& name) {
+  const TaskDescription task = described();
+  return config::process_metrics()
+      .counter(name, "",
+               {{"topology", task.topology}, {"component", task.component}, {"task", std::to_string(task.task)}})
+      .value();
 }
 
 std::vector<std::byte> bytes_of(const Values& values) {
@@ -271,8 +282,10 @@ TEST(StormBoltHost, ALateTupleIsNotExecuted) {
       },
       described(true), late_stream);
   const std::int64_t now = config::system_clock().wall_ms();
+  const std::uint64_t late = counted("iotcloud_task_late_total");
   EXPECT_THAT(task.execute(1, Values("x", now)), ElementsAre("emit stream 1 @1: in time, born", "ack 1"));
   EXPECT_THAT(task.execute(2, Values("x", now - 60'000)), ElementsAre("emit stream 1 @2: x, born", "ack 2"));
+  EXPECT_EQ(counted("iotcloud_task_late_total"), late + 1);
 }
 
 TEST(StormBoltHost, OfAnInputWithKeepLastOnlyTheNewestTuplesOfAKeyAreExecuted) {
@@ -291,10 +304,12 @@ TEST(StormBoltHost, OfAnInputWithKeepLastOnlyTheNewestTuplesOfAKeyAreExecuted) {
       },
       described(), keep);
   ASSERT_TRUE(task.host->keeps());
+  const std::uint64_t before = counted("iotcloud_task_superseded_total");
   std::vector<std::int64_t> replaced;
   for (const auto& [slot, text] : {std::pair(1U, "x"), {2U, "y"}, {3U, "x"}})
     replaced.push_back(task.keep(slot, Values(text)));
   EXPECT_THAT(replaced, ElementsAre(-1, -1, 1));
+  EXPECT_EQ(counted("iotcloud_task_superseded_total"), before + 1);
   task.host->request_tick();
   const auto next = [&] {
     task.java.apply(static_cast<std::size_t>(task.host->run_next()));
@@ -305,6 +320,19 @@ TEST(StormBoltHost, OfAnInputWithKeepLastOnlyTheNewestTuplesOfAKeyAreExecuted) {
   EXPECT_THAT(next(), ElementsAre("emit stream 1 @2: y", "ack 2"));
   task.host->end_keeping();
   EXPECT_EQ(task.host->run_next(), -1);
+}
+
+TEST(StormWorkerPages, AWorkerTakesTheNextPortWhenAnotherHasIt) {
+  const WorkerPages first({"127.0.0.1:0", {}, ""});
+  const WorkerPages second({first.address(), {}, ""});
+  const auto port_of = [](const WorkerPages& pages) {
+    return std::stoi(pages.address().substr(pages.address().rfind(':') + 1));
+  };
+  EXPECT_GT(port_of(second), port_of(first));
+  EXPECT_LT(port_of(second), port_of(first) + WorkerPages::ports_of_a_machine);
+  config::process_metrics().counter("test_pages_total", "").add();
+  EXPECT_THAT(rpc::http_get(second.address(), "/metrics"), HasSubstr("\ntest_pages_total 1\n"));
+  EXPECT_EQ(WorkerPages(rpc::PageSettings{}).address(), "");
 }
 
 TEST(StormKeptTuples, AnInputThatKeepsAllWaitsForRoom) {

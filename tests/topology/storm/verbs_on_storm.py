@@ -7,6 +7,7 @@ usage: verbs_on_storm.py BUILD LIBRARY     (BUILD: build/release; LIBRARY: the l
 import re
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
@@ -24,6 +25,7 @@ topology.library: {library}
 conf: {{out: "{out}", period_ms: 50}}
 runtime: {{max_spout_pending: 500, message_timeout: 30s}}
 engine: {{storm: {{workers: {workers}, {WAITS}}}}}
+metrics: {{address: "127.0.0.1:{free_ports(1)[0]}"}}
 spouts:
   numbers: {{class: test.Steady}}
 bolts:
@@ -132,6 +134,11 @@ class VerbsOnStorm(StormCase):
         rows = counts()
         self.assertEqual(set(rows), {"numbers", "crash", "count"})
         self.assertEqual((rows["count"]["tasks"], rows["count"]["failed"]), (2, 0))
+        pages = {found[1] for log in self.artifacts("worker.log")
+                 if (found := re.search(r"metrics of this worker: (http://\S+/metrics)", log.read_text(errors="replace")))}
+        self.assertEqual(len(pages), 2)
+        texts = [urllib.request.urlopen(page, timeout=60).read().decode() for page in pages]
+        self.assertEqual([bool(re.search(r"^test_emissions_total [1-9]", text, re.M)) for text in texts].count(True), 1)
         self.assertGreater(float(rows["count"]["execute_ms"]) + float(rows["numbers"]["complete_ms"]), 0)
 
     def check_activation(self):

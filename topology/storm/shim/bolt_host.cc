@@ -34,7 +34,11 @@ std::chrono::microseconds shorter(std::chrono::microseconds a, std::chrono::micr
 
 BoltHost::BoltHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink,
                    AnswerQueue& queue)
-    : TaskHost(task, std::move(component), buffer, sink), queue_(queue) {
+    : TaskHost(task, std::move(component), buffer, sink),
+      queue_(queue),
+      late_(counter("iotcloud_task_late_total", "Tuples older than their deadline, not executed")),
+      superseded_(
+          counter("iotcloud_task_superseded_total", "Tuples that a newer one of their key replaced (keep_last)")) {
   std::vector<internal::KeepLast> keep_last;
   streams_.reserve(task_.inputs.size());  // keep_last points to them
   for (const TaskDescription::Input& input : task_.inputs) {
@@ -88,6 +92,7 @@ std::int64_t BoltHost::keep(std::uint32_t slot, std::size_t input, int source_ta
     if (!replaced) return -1;
     auto& its = static_cast<Received&>(*replaced.data());
     its.answered.store(true);
+    superseded_.add();
     return its.slot;
   } catch (const std::exception& error) {
     report_error(error.what());
@@ -144,6 +149,7 @@ bool BoltHost::late(const Received& tuple, std::size_t input) const {
 }
 
 void BoltHost::give_up_late(const Tuple& tuple) {
+  late_.add();
   if (!spec_.late_stream.empty()) do_emit(spec_.late_stream, {&tuple, 1}, Values(tuple.data()->values), no_task);
   answer(Answer::ack, tuple);
 }

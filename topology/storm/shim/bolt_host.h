@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/bolt.h>
 #include <iotcloud/topology/storm/shim/answer_queue.h>
@@ -73,6 +74,8 @@ class BoltHost final : public TaskHost, private OutputCollector {
   std::int64_t birth_of_child(std::span<const Tuple> anchors) const;
 
   AnswerQueue& queue_;
+  config::Counter& late_;
+  config::Counter& superseded_;
   std::vector<detail::StreamInfo> streams_;  ///< of the inputs
   std::vector<std::int64_t> deadlines_ns_;   ///< of the inputs; 0: none
   const detail::StreamInfo tick_stream_{system_component, tick_stream, {}};

@@ -9,6 +9,7 @@
 #include <iotcloud/topology/definition/assemble.h>
 #include <iotcloud/topology/runtime/component_library.h>
 #include <iotcloud/topology/storm/shim/component_source.h>
+#include <iotcloud/topology/storm/shim/worker_pages.h>
 
 namespace iotcloud::topology::storm {
 
@@ -21,6 +22,7 @@ struct ReadFile {
   Topology topology;
   std::set<std::string> endpoints;  ///< the components that face brokers
   std::unique_ptr<EndpointProcess> process;
+  std::unique_ptr<WorkerPages> pages;
 };
 
 /// What this process has read so far. It keeps it to its end, because tasks use it.
@@ -62,6 +64,7 @@ class Sources {
         if (component.endpoint) read.endpoints.insert(component.id);
       }
     }
+    read.pages = std::make_unique<WorkerPages>(definition.pages);
     return read;
   }
 

@@ -50,6 +50,12 @@ TaskHost::TaskHost(const TaskDescription& task, Component component, std::span<s
   context_.task_count = static_cast<int>(task_.here.size());
 }
 
+config::Counter& TaskHost::counter(const std::string& name, const std::string& help) const {
+  return context_.metrics->counter(
+      name, help,
+      {{"topology", context_.topology}, {"component", context_.component}, {"task", std::to_string(context_.task)}});
+}
+
 std::size_t TaskHost::open() {
   const OwnCall own(*this);
   if (endpoints_ != nullptr) endpoints_->begin();

@@ -3,9 +3,11 @@
 #include <cstddef>
 #include <cstdint>
 #include <span>
+#include <string>
 #include <string_view>
 
 #include <iotcloud/config/clock.h>
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/topology/output_collector.h>
 #include <iotcloud/topology/storm/shim/command_writer.h>
 #include <iotcloud/topology/storm/shim/component_source.h>
@@ -62,6 +64,8 @@ class TaskHost {
     return false;
   }
 
+  /// A counter of this task among the process's metrics.
+  config::Counter& counter(const std::string& name, const std::string& help) const;
   /// The stream of that name, checked as our runtime checks it: the number of values, and the task of a direct stream.
   /// \throws std::invalid_argument when they do not fit.
   std::uint16_t checked_stream(std::string_view name, const Values& values, int task) const;
