@@ -160,7 +160,7 @@ TopologyService::ChangedOrder TopologyService::write_order(const TopologyRequest
   while (!desk_.leadership.closing().stop_requested()) {
     const auto known = desk_.book.last_given(path);  // before the node is read
     const auto node = desk_.registry.get(path);
-    const ChangedOrder change = changed_order(node, known, request, workers, lead, wait);
+    ChangedOrder change = changed_order(node, known, request, workers, lead, wait);
     try {
       desk_.book.put_topology(path, node, change.order, lead);
       return change;

@@ -12,7 +12,6 @@
 namespace iotcloud::discovery {
 namespace {
 
-using testing::ElementsAre;
 using testing::IsEmpty;
 using testing::SizeIs;
 

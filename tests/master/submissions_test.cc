@@ -14,7 +14,6 @@
 namespace iotcloud::master {
 namespace {
 
-using discovery::PlaceStatus;
 using discovery::Submission;
 using test::eventually;
 using test::TestMaster;

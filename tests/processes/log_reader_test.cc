@@ -11,7 +11,6 @@
 namespace iotcloud::processes {
 namespace {
 
-using ::testing::HasSubstr;
 namespace fs = std::filesystem;
 
 class LogReaderTest : public ::testing::Test {

@@ -24,7 +24,6 @@ using discovery::TopologyName;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
-using testing::SizeIs;
 using tests::eventually;
 
 /// A pool, and its own session at the registry.
@@ -282,7 +281,7 @@ class SignedPoolTest : public PoolTest {
     trust.trusted_keys = {signer_.public_file()};
     masters_ = std::make_shared<security::TrustedKeys>(trust);
   }
-  std::string signed_by(const security::test::Signer& signer, Submission submission) const {
+  std::string signed_by(const security::test::Signer& signer, const Submission& submission) const {
     return security::sign_object(signer.key(), paths_.submission(submission.name), discovery::encode(submission));
   }
   void put(const std::string& bytes) { discovery::put(*watcher_, paths_.submission(TopologyName("t")), bytes); }

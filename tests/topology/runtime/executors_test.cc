@@ -46,9 +46,9 @@ class Crowd {
 };
 
 /// in -> work (`tasks` tasks, `parallelism` executors).
-Topology crowded(std::shared_ptr<Source> source, Crowd& crowd, int parallelism, int tasks) {
+Topology crowded(const std::shared_ptr<Source>& source, Crowd& crowd, int parallelism, int tasks) {
   TopologyBuilder builder;
-  builder.set_spout("in", source_spout(std::move(source)));
+  builder.set_spout("in", source_spout(source));
   builder
       .set_bolt("work", bolt([&crowd](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
                   crowd.pass();
@@ -143,7 +143,7 @@ TEST(Executors, ARebalanceUnderLoadLosesNothingAndKeepsTheOrderOfEachKey) {
     std::this_thread::yield();
   }
   runtime.rebalance("count", 1);
-  EXPECT_TRUE(eventually([&] { return source->acked().size() == keys * each; }));
+  EXPECT_TRUE(eventually([&] { return source->acked().size() == std::size_t{keys} * each; }));
   const std::lock_guard lock(mutex);
   EXPECT_EQ(out_of_order, 0);
   EXPECT_EQ(moved, 0);
