@@ -20,8 +20,8 @@ import figures  # noqa: E402
 import private_server  # noqa: E402
 import storm_jar  # noqa: E402
 import versions  # noqa: E402
-from echo_on_storm import lines_about_units, storm_program  # noqa: E402
-from private_cluster import PrivateCluster, echo_topology, require, result_of, wait_for  # noqa: E402
+from echo_on_storm import lines_about_units, storm_program, topology_of  # noqa: E402
+from private_cluster import PrivateCluster, require, result_of, wait_for  # noqa: E402
 from storm import Storm  # noqa: E402
 
 SKIPPED = 77
@@ -46,8 +46,7 @@ class Faults:
         self.build, self.folder, self.cluster, self.storm = build, folder, cluster, storm
         self.drivers = 0
         file = folder / "echo.yaml"
-        text = echo_topology(4, 2, MORE.format(library=library, out=folder)) + CRASH
-        file.write_text(text.replace("{zookeeper}", cluster.zookeeper.removeprefix("zookeeper://")))
+        file.write_text(topology_of(cluster, more=MORE.format(library=library, out=folder)) + CRASH)
         print(storm_program(build, storm, "submit", file, "--limit", LIMIT_S), end="", flush=True)
 
     def has_workers(self, count):
