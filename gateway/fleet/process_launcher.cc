@@ -2,6 +2,7 @@
 #include <cstring>
 #include <filesystem>
 #include <optional>
+#include <stdexcept>
 #include <utility>
 #include <variant>
 
@@ -238,10 +239,16 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   if (found.exactly) arguments.emplace_back("--exactly");
   if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
   if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
-  auto process = start(std::move(arguments), socket, log_file);
-  logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process.id(), log_file);
-  return std::make_unique<ProcessLink>(options_, order, socket, proofs_.of(socket), std::move(process),
-                                       std::move(events), log_keeper(order.plugin));
+  try {
+    auto process = start(std::move(arguments), socket, log_file);
+    logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process.id(), log_file);
+    return std::make_unique<ProcessLink>(options_, order, socket, proofs_.of(socket), std::move(process), events,
+                                         log_keeper(order.plugin));
+  } catch (const std::runtime_error& e) {
+    // Of which there may be enough later: memory, processes, descriptors, room on the disk.
+    events.on_ended({HostEnd::How::crashed, fmt::format("could not be started: {}", e.what()), {}});
+    return link_to_nothing();
+  }
 } catch (const config::Error& e) {
   events.on_ended({HostEnd::How::refused, e.what(), {}});
   return link_to_nothing();

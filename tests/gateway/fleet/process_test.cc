@@ -116,6 +116,18 @@ TEST_F(ProcessTest, AHostThatCrashesAtOnceAgainIsToldWithItsSignal) {
   EXPECT_TRUE(eventually([&] { return !record("a"); }));
 }
 
+TEST_F(ProcessTest, AHostThatCannotBeStartedForNowIsTriedAgain) {
+  start_gateway();
+  const fs::path log = state_ / "logs/probe.log";
+  fs::create_directory(log);  // as if there were no room for it
+  give(quiet("a"));
+  ASSERT_TRUE(comes_to("a", DriverState::starting));
+  EXPECT_TRUE(
+      eventually([&] { return record("a")->reason.find("could not be started: the log") != std::string::npos; }));
+  fs::remove(log);
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+}
+
 TEST_F(ProcessTest, WhatWaitsForItsRestartSaysSoWhetherItsDriverThrewOrItsHostDied) {
   auto slow = options();
   slow.restart.first = 1h;  // the states stay to be seen
