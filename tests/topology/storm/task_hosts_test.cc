@@ -166,6 +166,7 @@ TEST(StormBoltHost, EmitsAnchoredAndAcks) {
   BoltTask task([](const Tuple& tuple, OutputCollector& out) {
     EXPECT_EQ(tuple.source_component(), "a");
     EXPECT_EQ(tuple.source_task(), 1);
+    EXPECT_NE(tuple.data()->tree, nullptr);  // a sender to a broker acks it when the broker has confirmed
     out.emit(tuple, Values(tuple.get<std::string>("text") + "!"));
     out.emit(Values("alone"));
     out.emit_direct(6, "chosen", {&tuple, 1}, Values("six"));

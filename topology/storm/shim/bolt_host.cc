@@ -2,6 +2,7 @@
 #include <chrono>
 
 #include <iotcloud/topology/runtime/tasks/pool.h>
+#include <iotcloud/topology/runtime/tasks/tracking.h>
 #include <iotcloud/topology/storm/shim/bolt_host.h>
 #include <iotcloud/topology/storm/value_format.h>
 
@@ -25,6 +26,9 @@ struct BoltHost::Received final : detail::TupleData {
 };
 
 namespace {
+
+/// Stands for Storm's tree of every tuple: senders to brokers ack a tuple without one before the broker confirms.
+internal::Tree storms_tree;
 
 std::chrono::microseconds shorter(std::chrono::microseconds a, std::chrono::microseconds b) {
   return a.count() == 0 ? b : b.count() == 0 ? a : std::min(a, b);
@@ -110,6 +114,7 @@ BoltHost::Received* BoltHost::receive(std::uint32_t slot, std::size_t input, int
   received->stream = &streams_[input];
   received->source_task = source_task;
   received->born_ns = 0;
+  received->tree = &storms_tree;
   return received;
 }
 
@@ -166,6 +171,7 @@ void BoltHost::run_tick() {
   received->answered.store(true, std::memory_order_relaxed);
   received->stream = &tick_stream_;
   received->source_task = 0;
+  received->tree = nullptr;
   received->born_ns = 0;
   const Tuple tuple(received);
   guarded("execute() of a tick", [&] { bolt_->execute(tuple); });
