@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 """An outsider's driver and bolts: installs the SDK, builds a project that sees nothing else, runs its tests, deploys and
-runs it. It is the project that docs/driver-sdk.md and docs/topology-sdk.md print (tests/house compares the two). The
+runs it. It is the project that docs/driver-sdk.md, docs/topology-sdk.md and docs/storm.md print (tests/house compares the two). The
 project that docs/glance.md prints is built, too. A driver and a component library with an undefined symbol are not.
 
 usage: outsider_test.py BUILD_DIR   (exit status 0: every reading that was answered was answered rightly)
@@ -89,6 +89,8 @@ def main():
     run("cmake", "--install", tree, "--prefix", prefix)
     build(HERE / "project", project, prefix)
     run("ctest", "--test-dir", project, "--output-on-failure", "--no-tests=error")
+    shutil.copy(HERE / "project/words.yaml", project / "plugins")
+    run(prefix / "bin/iotcloud-topology", "--check", project / "plugins/words.yaml")
     write_glance_project(work / "glance")
     build(work / "glance", work / "glance-build", prefix)
     check_undefined_symbol(work / "undefined", prefix)
