@@ -3,6 +3,7 @@
 #include <filesystem>
 #include <optional>
 #include <stdexcept>
+#include <system_error>
 #include <utility>
 #include <variant>
 
@@ -157,7 +158,7 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
 
 ProcessLauncher::ProcessLauncher(Options options)
     : options_(std::move(options)),
-      source_(options_.plugin_dir, options_.store, options_.trust),
+      source_(options_.plugin_dir, options_.store, options_.trust, options_.trust_folder),
       versions_({options_.state_dir + "/plugin-versions", options_.allow_rollback, options_.require_version}),
       proofs_(options_.state_dir) {
   if (options_.host_program.empty()) options_.host_program = processes::program_beside("iotcloud-driver-host");
@@ -239,15 +240,24 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   if (found.exactly) arguments.emplace_back("--exactly");
   if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
   if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
-  try {
-    auto process = start(std::move(arguments), socket, log_file);
-    logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process.id(), log_file);
-    return std::make_unique<ProcessLink>(options_, order, socket, proofs_.of(socket), std::move(process), events,
-                                         log_keeper(order.plugin));
-  } catch (const std::runtime_error& e) {
+  const auto lacking = [&](const std::runtime_error& e) {
     // Of which there may be enough later: memory, processes, descriptors, room on the disk.
     events.on_ended({HostEnd::How::crashed, fmt::format("could not be started: {}", e.what()), {}});
     return link_to_nothing();
+  };
+  std::optional<processes::ChildProcess> process;
+  try {
+    process.emplace(start(std::move(arguments), socket, log_file));
+  } catch (const config::Error& e) {
+    return lacking(e);
+  }
+  check_account(*process);
+  logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process->id(), log_file);
+  try {
+    return std::make_unique<ProcessLink>(options_, order, socket, proofs_.of(socket), *std::move(process), events,
+                                         log_keeper(order.plugin));
+  } catch (const std::system_error& e) {
+    return lacking(e);
   }
 } catch (const config::Error& e) {
   events.on_ended({HostEnd::How::refused, e.what(), {}});
@@ -263,8 +273,12 @@ processes::ChildProcess ProcessLauncher::start(std::vector<std::string> argument
   // The host listens on a socket that stays this user's own: other hosts may not connect to it.
   const auto listening = processes::bind_in(options_.state_dir, socket);
   arguments.insert(arguments.end(), {"--listen-on", "3"});
-  processes::ChildProcess process(starter_->start(arguments, environment, log, listening), starter_);
-  if (account_->runs(process.id())) return process;
+  return {starter_->start(arguments, environment, log, listening), starter_};
+}
+
+/// \throws config::Error, after it has ended the process, if that runs under another account than it should
+void ProcessLauncher::check_account(const processes::ChildProcess& process) const {
+  if (!starter_ || account_->runs(process.id())) return;
   process.kill();
   throw config::Error(fmt::format("{} starts hosts as another user than host_user says, {}", options_.starter,
                                   options_.confinement.user));

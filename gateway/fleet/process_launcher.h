@@ -34,6 +34,7 @@ class ProcessLauncher final : public HostLauncher {
     std::string plugin_dir;
     std::shared_ptr<processes::PluginStore> store;       ///< the uploaded plugins; null: there are none
     std::shared_ptr<const security::TrustedKeys> trust;  ///< null: no signature is required
+    bool trust_folder = false;                           ///< as in PluginSource()
     std::vector<std::string> allow_rollback;             ///< as in PluginVersions::Options
     bool require_version = false;                        ///< as in PluginVersions::Options
     std::string state_dir;                               ///< the path of a locked StateFolder
@@ -73,6 +74,7 @@ class ProcessLauncher final : public HostLauncher {
   std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;
 
  private:
+  void check_account(const processes::ChildProcess& process) const;
   processes::ChildProcess start(std::vector<std::string> arguments, const std::string& socket,
                                 const std::string& log_file) const;
   processes::LogFile::Options log_of(const std::string& plugin) const;

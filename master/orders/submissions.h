@@ -35,12 +35,13 @@ class Submissions {
   /// OrderRefusal::unknown_topology if it is not submitted. \throws discovery::RegistryError
   std::optional<OrderResult> mark_killed(const discovery::TopologyName& topology, std::chrono::milliseconds drain,
                                          const discovery::Lead& lead);
-  /// Waits until no pool has a place of it any more. \return false if `limit` passed first
+  /// Waits until no pool has a place of it any more, or says so. \return false if `limit` passed first
   bool await_end(const discovery::TopologyName& topology, std::chrono::milliseconds limit);
   /// Adds to the topology's history what was ordered last, with its outcome. Does not throw.
   void remember(const discovery::TopologyName& topology, const std::string& order, const std::string& outcome);
 
  private:
+  bool is_told(const discovery::TopologyName& topology);
   /// Changes a submission; returns why it cannot be changed, or nothing.
   using Alter = std::function<std::optional<OrderResult>(discovery::Submission&)>;
   std::optional<OrderResult> rewrite(const discovery::TopologyName& topology, const discovery::Lead& lead,
