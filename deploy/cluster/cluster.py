@@ -52,7 +52,7 @@ FILES = {
               "pages.token": f"{name}.pages.token", **own_pages(name), "registry.users": "registry.users",
               "registry.password": f"{name}.registry.password",
               **{f"{gateway}.token": f"{name}-{gateway}.token" for gateway in GATEWAYS}} for name in MASTERS},
-    **{name: {**host_files(name), **ORDER_KEYS, **own_pages(name), "tokens": f"{name}.tokens", "registry.users": "registry.users",
+    **{name: {**host_files(name), **ORDER_KEYS, **own_pages(name), "plugins.pub": "plugins.pub", "tokens": f"{name}.tokens", "registry.users": "registry.users",
               "registry.password": f"{name}.registry.password", "rabbitmq.password": f"{name}.rabbitmq.password",
               "rabbitmq-reads.password": f"{name}-reads.rabbitmq.password", "kafka.password": f"{name}.kafka.password"}
        for name in GATEWAYS},
@@ -282,6 +282,9 @@ def distribute(folder):
 def make_secrets(docker):
     """Makes certificates, tokens and passwords, readable by the containers' user only: all of them, or none."""
     if SECRETS.exists():
+        if not (SECRETS / "authority/plugins.pub").exists():  # made before gateways asked for signatures
+            run(docker.once("secrets", "keys", "new", "/secrets/plugins"), check=True, env=environment())
+            distribute(SECRETS)
         return
     say(f"certificates, tokens and passwords, in {SECRETS.relative_to(ROOT)}")
     fresh = SECRETS.with_name("secrets.new")
@@ -321,6 +324,7 @@ def make_secrets(docker):
     for file in ["pages.tokens", *(f"{daemon}.pages.tokens" for daemon in MASTERS + GATEWAYS)]:
         with open(fresh / file, "a", encoding="utf-8") as tokens:  # one token, which all daemons know
             tokens.write((fresh / "prometheus.tokens").read_text(encoding="utf-8"))
+    iotcloud("keys", "new", "/secrets/plugins")  # signs plugins that are sent
     for master in MASTERS:
         iotcloud("keys", "new", f"/secrets/{master}.orders")  # signs its orders
     roles = {**dict.fromkeys(MASTERS, "master"), **dict.fromkeys(GATEWAYS, "gateway"), "workers": "worker"}

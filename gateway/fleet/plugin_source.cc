@@ -29,10 +29,11 @@ discovery::DriverName driver_name(const config::DriverDeclaration& declaration, 
 }  // namespace
 
 PluginSource::PluginSource(std::string folder, std::shared_ptr<processes::PluginStore> store,
-                           std::shared_ptr<const security::TrustedKeys> trust)
+                           std::shared_ptr<const security::TrustedKeys> trust, bool trust_folder)
     : folder_(std::move(folder)),
       store_(std::move(store)),
-      trust_(trust ? std::move(trust) : std::make_shared<const security::TrustedKeys>()) {}
+      trust_(trust ? std::move(trust) : std::make_shared<const security::TrustedKeys>()),
+      trust_folder_(trust_folder) {}
 
 PluginSource::Found PluginSource::find(const HostOrder& order) {
   check_plugin_file_name(order.plugin);
@@ -159,7 +160,8 @@ PluginSource::Examined PluginSource::examine(const std::string& path, const std:
                     "update --plugin ./{} ID",
                     order.plugin, security::short_sha256(order.sha256), path, order.plugin));
   const std::string signature = signature_stamp == config::FileStamp{} ? "" : processes::read_file(signature_path, 0);
-  identity.signed_by = trust_->admit(order.plugin, content, signature);
+  identity.signed_by = trust_folder_ && order.sha256.empty() ? trust_->signer(content, signature)
+                                                             : trust_->admit(order.plugin, content, signature);
   if (!identity.signed_by.empty()) found.signature = security::parse_plugin_signature(signature);
   // What the plugin says of itself is read once its signature, if one is required, is known to be good.
   const auto declaration = config::declaration_in(content);

@@ -24,8 +24,9 @@ class PluginSource {
  public:
   /// \param folder of the gateway's own plugins, each with its signature beside it in FILE.sig.
   /// \param store the uploaded plugins; null: there are none. \param trust null: no signature is required.
+  /// \param trust_folder the folder's own plugins need no signature.
   PluginSource(std::string folder, std::shared_ptr<processes::PluginStore> store,
-               std::shared_ptr<const security::TrustedKeys> trust);
+               std::shared_ptr<const security::TrustedKeys> trust, bool trust_folder = false);
 
   /// A plugin that was found and checked.
   struct Found {
@@ -59,6 +60,7 @@ class PluginSource {
   const std::string folder_;
   const std::shared_ptr<processes::PluginStore> store_;
   const std::shared_ptr<const security::TrustedKeys> trust_;
+  const bool trust_folder_;
   config::Mutex mutex_;
   /// The inputs of examine(), by which its result is cached: the stamps of the plugin's file and of its signature's
   /// file, and TrustedKeys::generation().

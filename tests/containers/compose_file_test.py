@@ -27,7 +27,7 @@ SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "maste
 DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
 RUN_ONCE = {"bench", "cli", "secrets"}  # by a person, or by ./dev cluster
 # What gateways may share with others: it is public.
-SHARED = {"ca.pem", "revoked.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub"}
+SHARED = {"ca.pem", "revoked.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "plugins.pub"}
 FOLDER = re.compile(r"\$\{SECRETS:-\./build/cluster/secrets\}/([a-z0-9-]+):/run/secrets:ro")
 FORBIDDEN = ["privileged", "pid", "ipc", "userns_mode", "devices", "cgroup_parent", "env_file"]
 SECRET_WORD = re.compile(r"(?i)(password|passwd|pass|token|secret|credential)[a-z_]*$")

@@ -43,6 +43,16 @@ TEST_F(PluginSourceTest, WithoutTheRightSignatureItIsRefusedWhereOneIsRequired) 
   EXPECT_THAT(error_of([&] { checked.find(wants("turtle.so")); }), HasSubstr("a key that is trusted here"));
 }
 
+TEST_F(PluginSourceTest, AFolderThatIsTrustedNeedsNoSignatures) {
+  PluginSource trusting(folder_, nullptr, trust(true), true);
+  write("turtle.so", "abc");
+  const auto found = trusting.find(wants("turtle.so"));
+  EXPECT_EQ(found.identity.signed_by, "");
+  EXPECT_TRUE(found.exactly);
+  write("turtle.so.sig", signature_of("abc"));
+  EXPECT_EQ(trusting.find(wants("turtle.so")).identity.signed_by, "lab");
+}
+
 TEST_F(PluginSourceTest, AChangeAfterACheckIsSeenAtTheNext) {
   auto checked = source(true);
   write("turtle.so", "abc");
