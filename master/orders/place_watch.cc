@@ -28,7 +28,7 @@ void PlaceWatch::on_pools(const std::optional<std::vector<std::string>>& names) 
   }
   const config::MutexLock lock(mutex_);
   std::erase_if(pools_, is_gone);
-  listed_ = true;
+  listed_ = now.size();
   changed_.notify_all();
 }
 
@@ -60,7 +60,8 @@ PlaceWatch::Places PlaceWatch::seen() const {
 PlaceWatch::Places PlaceWatch::wait(std::chrono::milliseconds limit, const std::stop_token& stop,
                                     const std::function<bool(const Places&)>& enough) {
   const config::MutexLock lock(mutex_);
-  changed_.wait_for(mutex_, stop, limit, [&]() IOTCLOUD_REQUIRES(mutex_) { return listed_ && enough(seen()); });
+  changed_.wait_for(mutex_, stop, limit,
+                    [&]() IOTCLOUD_REQUIRES(mutex_) { return listed_ && pools_.size() >= *listed_ && enough(seen()); });
   return seen();
 }
 

@@ -1,8 +1,10 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <functional>
 #include <map>
+#include <optional>
 #include <stop_token>
 #include <string>
 #include <vector>
@@ -24,7 +26,8 @@ class PlaceWatch {
   PlaceWatch(const PlaceWatch&) = delete;
   PlaceWatch& operator=(const PlaceWatch&) = delete;
 
-  /// Returns what is seen as soon as `enough` says so, after `limit`, or when `stop` is requested.
+  /// Returns what is seen as soon as all records have been read and `enough` says so, after `limit`, or when `stop` is
+  /// requested.
   Places wait(std::chrono::milliseconds limit, const std::stop_token& stop,
               const std::function<bool(const Places&)>& enough);
 
@@ -40,7 +43,7 @@ class PlaceWatch {
   config::Mutex mutex_;
   config::StoppableConditionVariable changed_;
   std::map<std::string, std::vector<discovery::PlaceStatus>> pools_ IOTCLOUD_GUARDED_BY(mutex_);
-  bool listed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  std::optional<std::size_t> listed_ IOTCLOUD_GUARDED_BY(mutex_);  ///< how many pools there are; nullopt: not known yet
   std::map<std::string, discovery::GuardPtr> guards_;  ///< used on the registry's dispatcher, until names_ is gone
   discovery::GuardPtr names_;
 };

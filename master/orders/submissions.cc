@@ -25,8 +25,6 @@ namespace {
 
 /// How long a topology of which a worker cannot run is waited for until its other workers have ended.
 constexpr milliseconds take_back_limit{10'000};
-/// Between two looks at the pools' records.
-constexpr milliseconds record_pause{20};
 
 /// Why a request cannot be followed, whatever stands in the registry; nullopt: it can.
 std::optional<OrderResult> refuse_request(const SubmitRequest& request, int fewest_workers) {
@@ -363,34 +361,24 @@ std::optional<OrderResult> Submissions::mark_killed(const TopologyName& topology
 }
 
 bool Submissions::await_end(const TopologyName& topology, milliseconds limit) {
-  config::Mutex mutex;
-  config::StoppableConditionVariable changed;
-  bool gone = false;
-  const auto guard = desk_.registry.watch_children(desk_.options.paths.places(topology), [&](const auto& names) {
-    const config::MutexLock lock(mutex);
-    gone = !names || names->empty();
-    changed.notify_all();
-  });
   const auto end = std::chrono::steady_clock::now() + limit;
   const auto closing = desk_.leadership.closing();
-  const config::MutexLock lock(mutex);
-  if (!changed.wait_for(mutex, closing, limit, [&] { return gone; })) return false;
+  {
+    config::Mutex mutex;
+    config::StoppableConditionVariable changed;
+    bool gone = false;
+    const auto guard = desk_.registry.watch_children(desk_.options.paths.places(topology), [&](const auto& names) {
+      const config::MutexLock lock(mutex);
+      gone = !names || names->empty();
+      changed.notify_all();
+    });
+    const config::MutexLock lock(mutex);
+    if (!changed.wait_for(mutex, closing, limit, [&] { return gone; })) return false;
+  }
   // A pool lets go of a place before its record says so.
-  while (is_told(topology) && std::chrono::steady_clock::now() < end && !closing.stop_requested())
-    changed.wait_for(mutex, closing, record_pause, [] { return false; });
-  return true;
-}
-
-/// Whether a pool's record has a place of the topology; false if the registry does not answer.
-bool Submissions::is_told(const TopologyName& topology) try {
-  const auto pools = discovery::list_pools(desk_.registry, desk_.options.paths);
-  return std::any_of(pools.begin(), pools.end(), [&](const auto& pool) {
-    return std::any_of(pool.places.begin(), pool.places.end(),
-                       [&](const PlaceStatus& place) { return place.topology == topology; });
-  });
-} catch (const RegistryError& error) {
-  logger.debug("the pools' records are not read: {}", error.what());
-  return false;
+  PlaceWatch told(desk_.registry, desk_.options.paths, topology);
+  const auto left = std::chrono::ceil<milliseconds>(end - std::chrono::steady_clock::now());
+  return told.wait(left, closing, [](const PlaceWatch::Places& places) { return places.empty(); }).empty();
 }
 
 void Submissions::remember(const TopologyName& topology, const std::string& order, const std::string& outcome) try {

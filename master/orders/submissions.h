@@ -41,7 +41,6 @@ class Submissions {
   void remember(const discovery::TopologyName& topology, const std::string& order, const std::string& outcome);
 
  private:
-  bool is_told(const discovery::TopologyName& topology);
   /// Changes a submission; returns why it cannot be changed, or nothing.
   using Alter = std::function<std::optional<OrderResult>(discovery::Submission&)>;
   std::optional<OrderResult> rewrite(const discovery::TopologyName& topology, const discovery::Lead& lead,

@@ -13,7 +13,7 @@ import signal
 from pathlib import Path
 
 from booted import BootedCluster, require_means, status_of, with_own_programs
-from private_cluster import require, wait_for
+from private_cluster import passing_topology, require, wait_for
 
 UNIT = "iotcloud-pool.service"
 USER = "iotcloud-topology"
@@ -74,17 +74,7 @@ def main():
         machine.start(gateways=0, brokers=[])
         machine.boot_pool(given.units.resolve(), given.kill_mode)
         wait_for("the pool is there", lambda: len(machine.json("topology", "pools")) == 1)
-        shutil.copy(given.library, out / "passing.so")
-        file = out / "echo.yaml"
-        file.write_text(f"""
-zk.servers: ["{machine.zookeeper.removeprefix("zookeeper://")}"]
-topology.name: echo
-topology.library: passing.so
-spouts:
-  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}}
-bolts:
-  pass: {{class: passing.Pass, inputs: [{{from: receive, grouping: fields, fields: [driverID]}}]}}
-""")
+        file = passing_topology(machine, given.library)
         machine.cli("topology", "submit", file)
         pool, worker = machine.pool(), machine.worker()
         require(len(pool) == 1 and len(worker) == 1, f"pool {pool} has the workers {worker}")

@@ -7,6 +7,7 @@ killed.
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -85,6 +86,24 @@ bolts:
     parallelism: {bolts}
     inputs: [{{from: receive, grouping: fields, fields: [driverID]}}]
 """
+
+
+def passing_topology(cluster, library, more=""):
+    """The YAML file, in the cluster's folder with the library passing.so, of a topology that reads what load generators
+    send. `more`: further lines."""
+    shutil.copy(library, cluster.out / "passing.so")
+    file = cluster.out / "echo.yaml"
+    file.write_text(f"""
+zk.servers: ["{cluster.zookeeper.removeprefix("zookeeper://")}"]
+topology.name: echo
+topology.library: passing.so
+{more}
+spouts:
+  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}}
+bolts:
+  pass: {{class: passing.Pass, inputs: [{{from: receive, grouping: fields, fields: [driverID]}}]}}
+""")
+    return file
 
 
 def result_of(report):

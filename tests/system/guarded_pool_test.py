@@ -14,7 +14,7 @@ HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
 from guarded_cluster import HOST, GuardedCluster  # noqa: E402
-from private_cluster import PATIENT_STOP, StartError, free_port, require, wait_for  # noqa: E402
+from private_cluster import PATIENT_STOP, StartError, free_port, passing_topology, require, wait_for  # noqa: E402
 
 
 class GuardedPool(GuardedCluster):
@@ -62,18 +62,7 @@ def main():
         cluster.start(gateways=0, brokers=[])
         cluster.pool()
         wait_for("the pool is there", lambda: len(cluster.json("topology", "pools")) == 1)
-        shutil.copy(sys.argv[2], work / "passing.so")
-        file = work / "echo.yaml"
-        file.write_text(f"""
-zk.servers: ["{cluster.zookeeper.removeprefix("zookeeper://")}"]
-orders.trusted_keys: ["{work}/orders.pub"]
-topology.name: echo
-topology.library: passing.so
-spouts:
-  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time]}}
-bolts:
-  pass: {{class: passing.Pass, inputs: [{{from: receive, grouping: fields, fields: [driverID]}}]}}
-""")
+        file = passing_topology(cluster, sys.argv[2], more=f'orders.trusted_keys: ["{work}/orders.pub"]')
         refused("a library without a signature", cluster.run_as("anna", "topology", "submit", file), "no pool takes", "sign")
         cluster.iotcloud("sign", work / "passing.so", "--key", work / "somebodys.key")
         refused("a library that somebody signed", cluster.run_as("anna", "topology", "submit", file), "no pool takes", "trusted")

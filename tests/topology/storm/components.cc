@@ -185,7 +185,7 @@ class Crash final : public topology::BasicBolt {
   std::filesystem::path file_;
 };
 
-/// Executes its first tuple for 3 s.
+/// Executes its first tuple for 3 s, longer than the deadline of those that wait behind it.
 class Slow final : public topology::BasicBolt {
  public:
   void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {

@@ -2,6 +2,7 @@
 // exceptions into Java's.
 #include <cstdint>
 #include <exception>
+#include <functional>
 #include <memory>
 #include <span>
 #include <string>
@@ -132,6 +133,17 @@ Task& task_at(jlong handle) {
   return object_at<Task>(handle);
 }
 
+/// Hands a tuple, whose values are in the task's input, to its bolt.
+template <typename Method>
+jint hand_over(JNIEnv* env, jlong handle, Method method, jint slot, jint input, jint source_task, jint size) {
+  return guarded(env, [&] {
+    const Task& task = task_at(handle);
+    return static_cast<jint>(std::invoke(method, *task.bolt, static_cast<std::uint32_t>(slot),
+                                         static_cast<std::size_t>(input), source_task,
+                                         task.input.first(static_cast<std::size_t>(size))));
+  });
+}
+
 struct GroupingTask {
   std::span<const std::byte> input;
   std::span<std::int32_t> chosen;
@@ -219,11 +231,7 @@ JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_close(JNIEnv* env, jclass, jlo
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_execute(JNIEnv* env, jclass, jlong handle, jint slot, jint input,
                                                           jint source_task, jint size) {
-  return guarded(env, [&] {
-    Task& task = task_at(handle);
-    return static_cast<jint>(task.bolt->execute(static_cast<std::uint32_t>(slot), static_cast<std::size_t>(input),
-                                                source_task, task.input.first(static_cast<std::size_t>(size))));
-  });
+  return hand_over(env, handle, &BoltHost::execute, slot, input, source_task, size);
 }
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_tick(JNIEnv* env, jclass, jlong handle) {
@@ -240,11 +248,7 @@ JNIEXPORT jboolean JNICALL Java_iotcloud_storm_Native_keeps(JNIEnv*, jclass, jlo
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_keep(JNIEnv* env, jclass, jlong handle, jint slot, jint input,
                                                        jint source_task, jint size) {
-  return guarded(env, [&] {
-    Task& task = task_at(handle);
-    return static_cast<jint>(task.bolt->keep(static_cast<std::uint32_t>(slot), static_cast<std::size_t>(input),
-                                             source_task, task.input.first(static_cast<std::size_t>(size))));
-  });
+  return hand_over(env, handle, &BoltHost::keep, slot, input, source_task, size);
 }
 
 JNIEXPORT void JNICALL Java_iotcloud_storm_Native_requestTick(JNIEnv*, jclass, jlong handle) {
