@@ -6,12 +6,17 @@ function(_iotcloud_test_code target)
 endfunction()
 
 # A test's labels: what it needs (`unit`, `contract`, `server`, `system`, `long`; tests/README.md), its room, which is
-# its folder (below tests/), and the presets under which ./dev test runs it: `release`, `asan`, `tsan`. A unit test that a
-# sanitizer runs is not run in release, too, unless its subject is OPTIMIZED further there.
+# its folder (below tests/), and the presets under which ./dev test runs it: `release`, `asan`, `tsan`. ./dev test runs a
+# unit or contract test once: under tsan, under asan, or in release if neither has anything to find. Those that asan runs
+# besides tsan have the label `asan_long`, for ./dev test --long. A test whose subject is OPTIMIZED further in release
+# runs under all its presets.
 function(_iotcloud_test_labels out)
   cmake_parse_arguments(arg "OPTIMIZED" "" "LABELS;SANITIZERS" ${ARGN})
   set(presets ${arg_SANITIZERS})
-  if(NOT arg_LABELS MATCHES "^unit" OR NOT arg_SANITIZERS OR arg_OPTIMIZED)
+  if(tsan IN_LIST presets AND NOT arg_OPTIMIZED)
+    list(TRANSFORM presets REPLACE "^asan$" asan_long)
+  endif()
+  if(NOT arg_LABELS MATCHES "^(unit|contract)" OR NOT arg_SANITIZERS OR arg_OPTIMIZED)
     list(PREPEND presets release)
   endif()
   list(POP_FRONT arg_LABELS kind)
@@ -85,9 +90,9 @@ endfunction()
 #   it starts servers from Maven Central, `ros` if it needs ROS, and `serverless` if it is no unit test and starts no
 #   server: ./dev test installs and fetches what the labels of the chosen tests say. A server of tests/servers does not
 #   start for a test whose labels say that it needs none (its environment has IOTCLOUD_TEST_LABELS).
-#   SANITIZERS: those under which ./dev test runs it: asan if it handles bytes or lifetimes of its own, tsan if it has
-#   threads. Both are the default of `unit` and `contract`; `SANITIZERS none` turns them off. ./dev test does not run a unit
-#   test in release, too, that one of them runs, but for those that say OPTIMIZED: they test what release compiles with -O3.
+#   SANITIZERS: asan if it handles bytes or lifetimes of its own, tsan if it has threads. Both are the default of `unit` and
+#   `contract`; `SANITIZERS none` turns them off. ./dev test runs the test under tsan, or else under asan, and nowhere else,
+#   but for those that say OPTIMIZED, which run under all: they test what release compiles with -O3.
 #   WHOLE words: its tests share servers that take seconds to start, so ctest runs the program once for each word, with
 #   the tests whose names contain the word. ctest starts the runs with the longest TIMEOUT first, so that none of them
 #   is left to run alone at the end. A word that names Kafka or ActiveMQ adds the label `java`.

@@ -181,7 +181,7 @@ OrderFeed::Found OrderFeed::read_registry(Reading reading) {
   const std::string mark = discovery::freeze_path(paths_, gateway_);
   Found found;
   auto both = registry_.get_all({list, mark});
-  if (!both[0] && !both[1] && nothing_to_lose()) {
+  while (!both[0] && !both[1] && nothing_to_lose()) {  // again, when the registry is emptied before the answer
     discovery::put(registry_, list, "");
     both = registry_.get_all({list, mark});
   }

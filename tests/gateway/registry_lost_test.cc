@@ -25,6 +25,21 @@ class DisconnectedRegistry final : public tests::PassingRegistry {
   mutable std::atomic<int> times{0};  ///< only the gateway's loop counts it down
 };
 
+/// Is emptied each time it has created a node at `path`, as often as the test wants.
+class EmptiedRegistry final : public tests::PassingRegistry {
+ public:
+  using PassingRegistry::PassingRegistry;
+  void create(const std::string& at, const std::string& data, bool parents, const Fence& fence) override {
+    PassingRegistry::create(at, data, parents, fence);
+    if (at != path || times == 0) return;
+    --times;
+    server->put_back(nullptr);
+  }
+  std::shared_ptr<discovery::embedded::RegistryServer> server;
+  std::string path;
+  std::atomic<int> times{0};  ///< only the gateway's loop counts it down
+};
+
 class RegistryLost : public GatewayFixture {
  protected:
   RegistryLost() : own_(new_quick_session()) { registry_ = new_quick_session(); }
@@ -123,6 +138,21 @@ TEST_F(RegistryLost, AnIdleGatewayOfAnEmptiedRegistryTakesOrders) {
   give(order("a"));
   EXPECT_TRUE(comes_to("a", DriverState::active));
   EXPECT_TRUE(eventually([&] { return gateway_->trouble().empty(); })) << gateway_->trouble();
+}
+
+TEST_F(RegistryLost, AnIdleGatewayTakesOrdersOfARegistryThatIsEmptiedWhileItReadsThem) {
+  auto registry = std::make_unique<EmptiedRegistry>(new_quick_session());
+  auto& emptied = *registry;
+  emptied.server = server_;
+  emptied.path = paths_.orders("gw"_gateway);
+  emptied.times = 2;
+  own_ = std::move(registry);
+  start();
+  EXPECT_TRUE(eventually([&] { return emptied.times == 0; }));
+  EXPECT_TRUE(registers_again());
+  give(order("a"));
+  EXPECT_TRUE(comes_to("a", DriverState::active));
+  EXPECT_EQ(gateway_->trouble(), "");
 }
 
 TEST_F(RegistryLost, AGatewayThatIsNotRegisteredIsNotHealthy) {
