@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "build" / "cluster"
 SECRETS = OUT / "secrets"
 MASTERS, GATEWAYS = ["master-1", "master-2"], ["gateway-1", "gateway-2"]  # each gets a certificate
-WORKERS = ["topology-1", "topology-2"]  # as these do
+WORKERS, POOLS = ["topology-1", "topology-2"], ["pool-1", "pool-2"]  # as these do
 USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never root
 REPORT = "/var/lib/iotcloud-reports/cluster.json"
 ALL_PROFILES = ["--profile", "whole", "--profile", "metrics", "--profile", "bench", "--profile", "tools"]
@@ -51,15 +51,16 @@ FILES = {
     **{name: {**host_files(name), **ORDER_KEYS, "masters.tokens": "masters.tokens", "orders.key": f"{name}.orders.key",
               "pages.token": f"{name}.pages.token", **own_pages(name), "registry.users": "registry.users",
               "registry.password": f"{name}.registry.password",
-              **{f"{gateway}.token": f"{name}-{gateway}.token" for gateway in GATEWAYS}} for name in MASTERS},
+              **{f"{asked}.token": f"{name}-{asked}.token" for asked in GATEWAYS + POOLS}} for name in MASTERS},
     **{name: {**host_files(name), **ORDER_KEYS, **own_pages(name), "plugins.pub": "plugins.pub", "tokens": f"{name}.tokens", "registry.users": "registry.users",
               "registry.password": f"{name}.registry.password", "rabbitmq.password": f"{name}.rabbitmq.password",
               "rabbitmq-reads.password": f"{name}-reads.rabbitmq.password", "kafka.password": f"{name}.kafka.password"}
        for name in GATEWAYS},
     **{name: {**host_files(name), **ORDER_KEYS, "pages.tokens": "pages.tokens", "health.token": f"{name}.pages.token",
               "registry.users": "registry.users", "registry.password": "workers.registry.password",
-              "rabbitmq.password": "workers.rabbitmq.password", "kafka.password": "workers.kafka.password"}
-       for name in WORKERS},
+              "rabbitmq.password": "workers.rabbitmq.password", "kafka.password": "workers.kafka.password",
+              **({"tokens": f"{name}.tokens", "plugins.pub": "plugins.pub"} if name in POOLS else {})}
+       for name in WORKERS + POOLS},
     "prometheus": {"ca.pem": "ca.pem", "host.pem": "prometheus.pem", "host.key": "prometheus.key",
                    "prometheus.token": "prometheus.token"},
     "operator": OPERATOR,
@@ -302,15 +303,15 @@ def make_secrets(docker):
             raise Refused(f"iotcloud {' '.join(words)}: {done.stderr.strip()}")
         return done.stdout.strip()
 
-    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "rabbitmq", "prometheus"]))
+    iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, *POOLS, "registry-tls", "rabbitmq", "prometheus"]))
     write_secret(fresh, "admin.token",  # a person's
                  iotcloud("token", "add", "admin", "--role", "admin", "--file", "/secrets/masters.tokens"))
     for master in MASTERS:
-        for gateway in GATEWAYS:
-            write_secret(fresh, f"{master}-{gateway}.token",
+        for asked in GATEWAYS + POOLS:
+            write_secret(fresh, f"{master}-{asked}.token",
                          iotcloud("token", "add", master, "--role", "master", "--certificate", f"/secrets/{master}.pem",
-                                  "--file", f"/secrets/{gateway}.tokens"))
-    for reader in MASTERS + WORKERS:  # of the workers' pages; a worker's health check reads its own
+                                  "--file", f"/secrets/{asked}.tokens"))
+    for reader in MASTERS + WORKERS + POOLS:  # of the workers' pages; a worker's or pool's health check reads its own
         write_secret(fresh, f"{reader}.pages.token",
                      iotcloud("token", "add", reader, "--role", "viewer", "--certificate", f"/secrets/{reader}.pem",
                               "--file", "/secrets/pages.tokens"))
@@ -374,6 +375,12 @@ The topology `echo` sends back what load generators send. Look at the cluster, d
   ./dev cluster cli drivers
   ./dev cluster cli logs --help
   ./dev cluster cli undeploy --driver loadgen
+
+Two pools run the topologies that are submitted, such as one that sends back what the driver `mirrored` sends:
+
+  ./dev cluster cli topology submit deploy/cluster/submitted/mirror.yaml --workers 2
+  ./dev cluster cli deploy loadgen.so --driver mirrored --gateway gateway-1 --property rate=100
+  ./dev cluster cli topology kill mirror
 
 The command line sees this folder: `./dev cluster cli deploy --plugin ./build/release/plugins/turtle.so ...` sends a file.
 `./dev cluster bench` measures, `./dev cluster down` takes everything away.
@@ -455,7 +462,7 @@ def certs(given):
     distribute(SECRETS)
     # Daemons look by themselves within seconds; the tunnels read their files again only when they are told. They are told from
     # inside: a container that `docker kill` has sent a signal, whichever, is not started again when it dies later.
-    told = {**dict.fromkeys([*MASTERS, *GATEWAYS, *WORKERS, "registry-tls", "prometheus"], ["sh", "-c", "kill -HUP 1"]),
+    told = {**dict.fromkeys([*MASTERS, *GATEWAYS, *WORKERS, *POOLS, "registry-tls", "prometheus"], ["sh", "-c", "kill -HUP 1"]),
             "rabbitmq": ["bash", "/etc/iotcloud/rabbitmq-certificate", "renewed"]}
     running = {service: container["Id"] for service, container in docker.containers().items()
                if service in told and container["State"]["Running"]}

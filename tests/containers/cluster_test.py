@@ -36,7 +36,7 @@ NEWER = 50  # messages that must have come back since the repair
 HEAL_LIMIT_S = 120
 # Where each holder of a certificate shows it to whoever connects.
 SHOWN_AT = {"master-1": [12904, 9112], "master-2": [12904, 9112], "gateway-1": [12905, 9405], "gateway-2": [12905, 9405],
-            "topology-1": [9406], "topology-2": [9406], "registry-tls": [2281], "rabbitmq": [5671]}
+            "topology-1": [9406], "topology-2": [9406], "pool-1": [12906, 9407], "pool-2": [12906, 9407], "registry-tls": [2281], "rabbitmq": [5671]}
 READER = HERE / "page_reader.py"
 
 
@@ -107,20 +107,22 @@ def settled(cluster, gateway, ledger, upto):
     return received.issuperset(range(1, upto + 1)) and max(received, default=0) >= upto + NEWER
 
 
+def report(cluster, name):
+    """A load generator's report; None until it is written, when everything is back."""
+    try:
+        text = cluster.docker.docker("exec", cluster.container("gateway-1"), "cat", f"/var/lib/iotcloud-reports/{name}.json")
+    except Failed:
+        return None
+    return json.loads(text) if text.endswith("}") else None
+
+
 def check_round_trip(cluster, name="first"):
     """A load generator's messages come back, all of them; the commands are those that `up` printed."""
     cluster.cli("deploy", "loadgen.so", "--gateway", "gateway-1", "--property", "rate=100", "--property", "count=500",
                 "--property", f"report=/var/lib/iotcloud-reports/{name}.json")
 
-    def report():
-        try:
-            text = cluster.docker.docker("exec", cluster.container("gateway-1"), "cat", f"/var/lib/iotcloud-reports/{name}.json")
-        except Failed:
-            return None
-        return json.loads(text) if text.endswith("}") else None
-
-    wait_for("500 messages are back", report)
-    result = report()
+    wait_for("500 messages are back", lambda: report(cluster, name))
+    result = report(cluster, name)
     require(result["sent"] == 500 and not result["lost"] and not result["damaged"], result)
     print(f"500 messages made the round trip: p50 {result['latency_us']['p50'] / 1000:.2f} ms, "
           f"p99 {result['latency_us']['p99'] / 1000:.2f} ms", flush=True)
@@ -128,6 +130,37 @@ def check_round_trip(cluster, name="first"):
     require(len(seen["workers"]) == 2 and sum(one["emitted"] for one in seen["components"] if one["id"] == "receive") >= 500,
             f"the workers are not seen from outside: {seen}")
     cluster.cli("undeploy", "--gateway", "gateway-1", "--driver", "loadgen")
+
+
+def check_pools(cluster):
+    """The sample topology is submitted to both pools, by the command that `up` printed. One of them is killed with its worker
+    while messages flow: the other one goes on, and none is lost."""
+    cluster.cli("topology", "submit", "deploy/cluster/submitted/mirror.yaml", "--workers", "2")
+
+    def running():
+        places = cluster.json("topology", "show", "mirror")["places"]
+        return {place["pool"] for place in places if place["state"] == "running"}
+
+    require(running() == {"pool-1", "pool-2"}, f"the topology runs in {running()}")
+    for gateway in GATEWAYS:
+        cluster.cli("deploy", "loadgen.so", "--driver", "mirrored", "--gateway", gateway, "--property", "rate=100", "--property",
+                    "count=3000", "--property", f"report=/var/lib/iotcloud-reports/{gateway}-mirrored.json")
+    begin = time.monotonic()
+    wait_for("messages go through it", lambda: any(
+        one["emitted"] > 200 for one in cluster.json("topology", "show", "mirror")["components"] if one["id"] == "receive"))
+    kill_and_wait(cluster, "pool-1")
+    healed = time.monotonic() - begin
+    for gateway in GATEWAYS:
+        name = f"{gateway}-mirrored"
+        wait_for(f"3000 messages of {gateway} are back", lambda name=name: report(cluster, name), HEAL_LIMIT_S)
+        result = report(cluster, name)
+        require(result["sent"] == 3000 and not result["lost"] and not result["damaged"], result)
+    wait_for("both pools run a worker again", lambda: running() == {"pool-1", "pool-2"}, HEAL_LIMIT_S)
+    cluster.cli("topology", "kill", "mirror")
+    require("mirror" not in cluster.cli("topology", "list"), "the topology is listed after it was killed")
+    cluster.cli("undeploy", "--driver", "mirrored")
+    print(f"a submitted topology runs in two pools; one was killed and was healthy again after {healed:.1f} s; of 2 x 3000 messages "
+          "none is lost", flush=True)
 
 
 def check_confined(cluster):
@@ -138,7 +171,7 @@ def check_confined(cluster):
     require(len(hidden) > 10, f"only {len(hidden)} passwords and tokens in {secrets}")
     for file in secrets.iterdir():
         require(file.suffix in (".pem", ".pub") or file.name == "registry.users" or file.stat().st_mode & 0o077 == 0, f"{file} is open to others")
-    for service in ["master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"]:
+    for service in ["master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2", "pool-1", "pool-2"]:
         top = cluster.docker.docker("top", cluster.container(service), "-eo", "pid,uid,args").splitlines()[1:]
         require(top and all(line.split()[1] == "10001" for line in top), f"{service} runs as {top}")
     for service in ["rabbitmq", "zookeeper", *GATEWAYS]:
@@ -446,6 +479,7 @@ def main():
             check_confined(cluster)
             check_programs(cluster)
             check_round_trip(cluster)
+            check_pools(cluster)
             deploy_ledgers(cluster, build)
             check_renewal(cluster)
             check_faults(cluster)

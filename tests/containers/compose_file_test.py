@@ -23,8 +23,8 @@ sys.path.insert(0, str(ROOT / "deploy/cluster"))
 
 import cluster  # noqa: E402  (its folder is known now)
 SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2",
-            "prometheus"}
-DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2"}
+            "pool-1", "pool-2", "prometheus"}
+DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2", "pool-1", "pool-2"}
 RUN_ONCE = {"bench", "cli", "secrets"}  # by a person, or by ./dev cluster
 # What gateways may share with others: it is public.
 SHARED = {"ca.pem", "revoked.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "plugins.pub"}
@@ -89,7 +89,7 @@ def directives(file):
 def problems_of_configurations():
     """The daemons speak to their tunnel, whose configuration is the shipped one with the names of this cluster."""
     folder = ROOT / "deploy/cluster"
-    for file in folder.glob("*.yaml"):
+    for file in [*folder.glob("*.yaml"), *folder.glob("submitted/*.yaml")]:
         found = re.findall(r"(?:zookeeper://|zk.servers: \[\")([^\"]*)", file.read_text(encoding="utf-8"))
         if found != ["127.0.0.1:2181"]:
             yield f"{file.name} has the registry {found}, not its tunnel"
@@ -163,6 +163,7 @@ def check_that_it_finds(file):
             lambda services: replace_volume(services["gateway-2"], "secrets}/gateway-2:", "secrets}:"),
         "master-1 is on the networks": lambda services: services["master-1"].update(networks=["default", "registry"]),
         "gateway-1 has no tunnel": lambda services: services["gateway-1"]["command"].pop(0),
+        "pool-1 has no tunnel": lambda services: services["pool-1"]["command"].pop(0),
         "topology-1 has no certificate": lambda services: services["topology-1"].update(volumes=[]),
         "prometheus publishes": lambda services: services["prometheus"].update(ports=["${PROMETHEUS_PORT:-9090}:9090"]),
         "bench has secrets that are mounted as files": lambda services: services["bench"].update(secrets=["ca.pem"]),

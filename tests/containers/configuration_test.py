@@ -19,7 +19,7 @@ import cluster_secrets  # noqa: E402
 from compose_file_test import folder_of  # noqa: E402
 
 CONFIGURATIONS = ROOT / "deploy/cluster"
-DAEMONS = {"master": "iotcloud-master", "gateway": "iotcloud-gateway", "topology": "iotcloud-topology"}
+DAEMONS = {"iotcloud-master", "iotcloud-gateway", "iotcloud-topology"}
 
 
 def run(*command):
@@ -27,10 +27,10 @@ def run(*command):
 
 
 def secrets_named(text, services):
-    """The files of /run/secrets that a configuration names; {gateway} stands for each gateway."""
-    gateways = [name for name in services if name.startswith("gateway-")]
+    """The files of /run/secrets that a configuration names; {gateway} stands for each gateway, {pool} for each pool."""
     for word in {word.strip(",}\"]") for word in text.split() if word.startswith("/run/secrets/")}:
-        yield from {word.replace("{gateway}", gateway) for gateway in gateways}
+        kind = next((kind for kind in ("gateway", "pool") if f"{{{kind}}}" in word), None)
+        yield from {word.replace(f"{{{kind}}}", name) for name in services if name.startswith(f"{kind}-")} if kind else [word]
 
 
 def main():
@@ -38,14 +38,14 @@ def main():
     services = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))["services"]
     commands = [service["command"][1:] for service in services.values()
                 if service.get("command", [""])[0] == "iotcloud-with-registry-tunnel"]
-    used = {Path(words[2]).name: words[0] for words in commands if words[0] in DAEMONS.values()}
+    used = {Path(words[-1]).name: words[:-1] for words in commands if words[0] in DAEMONS}
     files = {file.name for file in CONFIGURATIONS.glob("*.yaml")}
     if set(used) != files:
         sys.exit(f"deploy/cluster has {sorted(files)}, docker-compose.yml uses {sorted(used)}")
     with tempfile.TemporaryDirectory(dir=programs.parent) as work:
         secrets = Path(work) / "secrets"
         cluster_secrets.make(programs, secrets)
-        for name, daemon in sorted(used.items()):
+        for name, command in sorted(used.items()):
             original = text = (CONFIGURATIONS / name).read_text(encoding="utf-8")
             folder = folder_of(next(service for service in services.values()
                                     if service.get("command", [""])[-1] == f"/etc/iotcloud/{name}"))
@@ -54,13 +54,13 @@ def main():
             for there, path in here.items():
                 text = text.replace(there, path)
             file.write_text(text, encoding="utf-8")
-            done = run(programs / daemon, "--config", file, "--check-config")
+            done = run(programs / command[0], *command[1:], file, "--check-config")
             if done.returncode:
                 sys.exit(f"{name}: {done.stderr or done.stdout}")
             # The daemon refuses unknown keys here.
             file.write_text(file.read_text(encoding="utf-8") + "\nnonsense: 1\n", encoding="utf-8")
-            if run(programs / daemon, "--config", file, "--check-config").returncode == 0:
-                sys.exit(f"{daemon} --check-config takes nonsense")
+            if run(programs / command[0], *command[1:], file, "--check-config").returncode == 0:
+                sys.exit(f"{' '.join(command)} --check-config takes nonsense")
             # The compose file defines where services and secrets are.
             for secret in secrets_named(original, services):
                 if Path(secret).name not in cluster.FILES[folder]:

@@ -46,7 +46,7 @@ def check_sample(sample):
     job, = sample["scrape_configs"]
     require(job.keys() == {"job_name", "scheme", "tls_config", "authorization", "static_configs"}, f"its job has {sorted(job)}")
     targets = [target for group in job["static_configs"] for target in group["targets"]]
-    daemons = cluster.MASTERS + cluster.GATEWAYS + cluster.WORKERS
+    daemons = cluster.MASTERS + cluster.GATEWAYS + cluster.WORKERS + cluster.POOLS
     require(sorted(targets) == sorted(map(page_of, daemons)), f"prometheus.yml reads {targets}")
     require(job["scheme"] == "https" and job["authorization"]["type"] == "Bearer", "prometheus.yml reads without TLS or token")
     require(not job["tls_config"].get("insecure_skip_verify"), "prometheus.yml takes any certificate")
@@ -57,20 +57,21 @@ def check_sample(sample):
     require(f"--config.file=/etc/iotcloud/{SAMPLE.name}" in service["command"], f"the service has another file: {service['command']}")
 
 
-def start(machine, program, service, secrets):
+def start(machine, command, service, secrets):
     """Starts a daemon with its shipped configuration, on ports of this test. Returns that of its pages."""
     port = free_port()
     text = configuration_of(service).read_text(encoding="utf-8")
     state = machine.out / service
     state.mkdir()
     for there, here in {"0.0.0.0:" + page_of(service).split(":")[1]: f"0.0.0.0:{port}", "port: 12904": f"port: {free_port()}",
-                        "port: 12905": f"port: {free_port()}", "127.0.0.1:2181": machine.zookeeper.removeprefix("zookeeper://"),
+                        "port: 12905": f"port: {free_port()}", "port: 12906": f"port: {free_port()}",
+                        "127.0.0.1:2181": machine.zookeeper.removeprefix("zookeeper://"),
                         "/run/secrets": str(secrets / service), "/usr/lib/iotcloud/plugins": str(machine.plugins),
                         "/var/lib/iotcloud-reports": str(state), "/var/lib/iotcloud": str(state)}.items():
         text = text.replace(there, here)
     file = machine.out / f"{service}.yaml"
     file.write_text(text, encoding="utf-8")
-    machine.spawn(service, [str(machine.bin / program), "--config", str(file)])
+    machine.spawn(service, [str(machine.bin / command[0]), *command[1:], "--config", str(file)])
     return port
 
 
@@ -110,9 +111,9 @@ def main():
         cluster_secrets.make(programs, secrets)
         with PrivateCluster(Path(work) / "out", programs, programs.parent / "plugins") as machine:
             machine.zookeeper = machine.server("zookeeper")
-            for program, service in {"iotcloud-master": "master-1", "iotcloud-gateway": "gateway-1",
-                                     "iotcloud-topology": "topology-1"}.items():
-                port = start(machine, program, service, secrets)
+            for service, command in {"master-1": ["iotcloud-master"], "gateway-1": ["iotcloud-gateway"],
+                                     "topology-1": ["iotcloud-topology"], "pool-1": ["iotcloud-topology", "--pool"]}.items():
+                port = start(machine, command, service, secrets)
                 wait_for(f"{service} answers", lambda service=service, port=port: read(secrets, service, port)[0] == 200)
                 wait_for(f"{service} is well", lambda service=service, port=port: is_well(programs, secrets, service, port))
                 text = read(secrets, service, port)[1]
