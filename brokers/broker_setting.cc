@@ -49,7 +49,7 @@ BrokerOptions read_broker_options(config::YamlSection& section, std::chrono::mil
   }
   options.properties = section.string_map("properties");
   for (const auto& [key, file] : files_of(options)) {
-    if (std::filesystem::exists(file)) continue;
+    if (!section.runs_here() || std::filesystem::exists(file)) continue;
     section.refuse(key, "the file \"" + file + "\" is not there", "make it, or name another");
   }
   return options;

@@ -25,6 +25,7 @@ struct Document {
   std::string file;
   std::string source;    ///< the whole file
   bool keeping = false;  ///< all_errors() runs: errors are noted, not thrown
+  bool runs_here = true;
   std::vector<ConfigError> errors;
   std::set<std::string> failed;  ///< dotted keys whose values are stand-ins
 
@@ -229,6 +230,14 @@ void YamlSection::all_errors(const std::function<void()>& read) const {
 
 bool YamlSection::has_errors() const {
   return !impl_->document->errors.empty();
+}
+
+void YamlSection::is_for_another_machine() const {
+  impl_->document->runs_here = false;
+}
+
+bool YamlSection::runs_here() const {
+  return impl_->document->runs_here;
 }
 
 bool YamlSection::is_wrong(const std::string& key) const {

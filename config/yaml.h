@@ -62,6 +62,12 @@ class YamlSection {
     }
   }
 
+  /// Says that a process on another machine will run with this document: files and environment variables that it names
+  /// need not be here.
+  void is_for_another_machine() const;
+  /// Whether files and environment variables that the document names are to be looked at now.
+  bool runs_here() const;
+
   bool has(const std::string& key) const;
 
   std::string require_string(const std::string& key);

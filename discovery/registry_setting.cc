@@ -16,6 +16,7 @@ std::string read_password(config::YamlSection& top) {
     top.refuse("registry.password_variable", "the password is in \"registry.password_file\" already",
                "remove one of the two");
   }
+  if (!top.runs_here()) return {};
   if (file) {
     std::ifstream in(*file);
     std::string password;
@@ -72,7 +73,8 @@ RegistryOptions read_registry_options(config::YamlSection& top) {
   if (options.user.find(':') != std::string::npos) {
     top.refuse("registry.user", "a user's name cannot have a colon", "choose another name");
   }
-  if (const auto file = top.optional_string("registry.users")) options.access = read_access(top, *file, options.user);
+  const auto users = top.optional_string("registry.users");
+  if (users && top.runs_here()) options.access = read_access(top, *users, options.user);
   if (options.others_may_read && options.user.empty()) {
     top.refuse("registry.others_may_read", "without a user everybody may read and write anyway",
                "add \"registry.user\", or remove this");

@@ -101,6 +101,7 @@ TlsFiles read_tls(config::YamlSection& section) {
   files.key = tls->require_string("key");
   files.revoked = tls->string_or("revoked", "");
   tls->finish();
+  if (!section.runs_here()) return files;
   try {
     const TlsContext tried(files, TlsContext::Side::server);
   } catch (const config::Error& e) {

@@ -30,7 +30,7 @@ PageSettings read_page_settings(config::YamlSection& file) {
   } catch (const config::Error& e) {
     section->refuse("address", e.what());
   }
-  if (!settings.tokens.empty()) {
+  if (!settings.tokens.empty() && section->runs_here()) {
     try {
       security::read_tokens(settings.tokens);
     } catch (const config::Error& e) {

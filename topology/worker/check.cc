@@ -46,12 +46,15 @@ std::vector<std::string> load_libraries(const TopologyDefinition& definition, co
 
 namespace {
 
+enum class RunsOn { this_machine, others };
+
 /// Reads a topology's YAML, puts its graph together, and calls `use` with both if nothing is wrong.
 /// \throws config::ConfigError.
 template <typename Use>
-void read_and_assemble(const std::string& file, const std::vector<std::string>& folders, ComponentRegistry components,
-                       const Use& use) {
+void read_and_assemble(const std::string& file, RunsOn where, const std::vector<std::string>& folders,
+                       ComponentRegistry components, const Use& use) {
   config::YamlSection::read_file(file, [&](config::YamlSection& root) {
+    if (where == RunsOn::others) root.is_for_another_machine();
     const auto definition = TopologyDefinition::read(root, file);
     load_libraries(definition, folders, components);
     config::Metrics unused;
@@ -73,7 +76,7 @@ std::string one_line(const nlohmann::ordered_json& answer) {
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
                            ComponentRegistry components) {
   std::string description;
-  read_and_assemble(file, folders, std::move(components), [&](const auto& definition, const auto& topology) {
+  read_and_assemble(file, RunsOn::this_machine, folders, std::move(components), [&](const auto& definition, const auto& topology) {
     description = describe(definition, topology);
   });
   return description;
@@ -82,7 +85,7 @@ std::string check_topology(const std::string& file, const std::vector<std::strin
 std::string check_submission(const std::string& file, const std::vector<std::string>& folders) {
   nlohmann::ordered_json answer;
   try {
-    read_and_assemble(file, folders, {}, [&](const auto& definition, const auto& topology) {
+    read_and_assemble(file, RunsOn::others, folders, {}, [&](const auto& definition, const auto& topology) {
       if (definition.registry.url.empty()) {
         throw definition.root.error("", "the key \"zk.servers\" is missing",
                                     "add \"zk.servers: [\\\"host:2181\\\"]\": its workers run on other machines");

@@ -24,7 +24,8 @@ std::vector<std::string> load_libraries(const TopologyDefinition& definition, co
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
                            ComponentRegistry components = {});
 
-/// Checks a topology as check_topology() does, for `iotcloud topology submit`. \return a JSON object of one line:
+/// Checks a topology as check_topology() does, for `iotcloud topology submit`; the files that it names for its workers
+/// (passwords, keys, tokens) need not be on this machine. \return a JSON object of one line:
 /// `topology`, `libraries` (each with `name`, as the YAML has it, and `path`), `crossings` (crossings(): why several
 /// workers may not run it) and `registry`; or `error`: what is wrong.
 std::string check_submission(const std::string& file, const std::vector<std::string>& folders);

@@ -21,6 +21,7 @@ namespace fs = std::filesystem;
 using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
+using testing::Not;
 using testing::StartsWith;
 
 /// `iotcloud-topology --check`, and the same as a function.
@@ -186,6 +187,28 @@ TEST_F(Check, FindsALibraryBesideTheFileAndThenInTheFolders) {
 
 TEST_F(Check, IsInTheHelp) {
   EXPECT_THAT(run("--help").second, HasSubstr("--check FILE"));
+}
+
+TEST_F(Check, WhatIsSubmittedMayNameFilesOfTheMachinesOnWhichItWillRun) {
+  std::string text = good;
+  const std::string broker = R"("amqp://127.0.0.1:1")";
+  text.replace(text.find(broker), broker.size(),
+               "{urls: [\"amqps://127.0.0.1:1/\"], user: workers, password_file: /nowhere/rabbitmq.password}");
+  const std::string file = write(text + R"(
+registry.user: workers
+registry.password_file: /nowhere/registry.password
+registry.users: /nowhere/registry.users
+orders.trusted_keys: [/nowhere/orders.pub]
+metrics:
+  address: "0.0.0.0:0"
+  tls: {ca: /nowhere/ca.pem, certificate: /nowhere/host.pem, key: /nowhere/host.key}
+  tokens: /nowhere/tokens
+)");
+  const auto [status, said] = run("--check " + file);
+  EXPECT_EQ(status, 2) << "it does not run here";
+  for (const char* name : {"registry.password", "registry.users", "rabbitmq.password", "ca.pem", "tokens"})
+    EXPECT_THAT(said, HasSubstr("/nowhere/" + std::string(name)));
+  EXPECT_THAT(run("--check-submission " + file).second, AllOf(HasSubstr(R"("topology":"t")"), Not(HasSubstr("error"))));
 }
 
 }  // namespace

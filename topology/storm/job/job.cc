@@ -67,6 +67,7 @@ Job make_job(const std::string& file, const std::vector<std::string>& folders) {
   Job job;
   job.file = file;
   config::YamlSection::read_file(file, [&](config::YamlSection& root) {
+    root.is_for_another_machine();
     const auto definition = TopologyDefinition::read(root, file);
     ComponentRegistry components;
     job.libraries = load_libraries(definition, folders, components);
