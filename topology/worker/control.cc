@@ -57,9 +57,12 @@ void WorkerControl::start() {
   }();
   const std::string path = options_.services->paths.workers(options_.topology.name) + "/" + record.name;
   membership_ = registry_.hold_eventually(path, discovery::encode(record), false, [this](const std::string&) {
-    const config::MutexLock lock(mutex_);
-    joined_ = show_due_ = report_due_ = true;
-    changed_.notify_all();
+    {
+      const config::MutexLock lock(mutex_);
+      joined_ = show_due_ = report_due_ = true;
+      changed_.notify_all();
+    }
+    if (options_.on_joined) options_.on_joined();
   });
   orders_ = registry_.watch_node(order_path_, [this](const std::optional<Node>& node) { on_order(node); });
   sessions_ = registry_.on_session([this](SessionState state) {

@@ -36,6 +36,8 @@ class WorkerControl {
     /// Called once, on a thread of its own, after a kill order's drain: the owner must stop the worker and call
     /// leave().
     std::function<void()> on_killed;
+    /// Called whenever the worker's record has come to stand in the registry. May be empty; must not block.
+    std::function<void()> on_joined{};
     /// How long spouts wait at the start for a registry that does not answer.
     std::chrono::milliseconds patience{2000};
     std::shared_ptr<const security::TrustedKeys> masters{};  ///< null: orders need no signature

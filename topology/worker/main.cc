@@ -107,7 +107,8 @@ std::vector<std::string> library_folders() {
   return {program.parent_path() / "plugins", program.parent_path() / "lib/iotcloud/plugins"};
 }
 
-std::unique_ptr<WorkerService> build_worker(const std::string& file, std::map<std::string, std::string> libraries) {
+std::unique_ptr<WorkerService> build_worker(const std::string& file, std::map<std::string, std::string> libraries,
+                                            std::function<void()> on_joined) {
   topology::WorkerOptions options{.definition = topology::TopologyDefinition::load(file),
                                   .components = {},
                                   .library_folders = library_folders(),
@@ -116,19 +117,20 @@ std::unique_ptr<WorkerService> build_worker(const std::string& file, std::map<st
                                   .clock = nullptr,
                                   .metrics = nullptr,
                                   // run_daemon() waits for this signal: the process ends in order, with status 0.
-                                  .on_killed = [] { ::kill(getpid(), SIGTERM); }};
+                                  .on_killed = [] { ::kill(getpid(), SIGTERM); },
+                                  .on_joined = std::move(on_joined)};
   return std::make_unique<WorkerService>(std::move(options));
 }
 
 std::unique_ptr<config::DaemonService> build(const std::string& file) {
-  return build_worker(file, {});
+  return build_worker(file, {}, {});
 }
 
 /// A worker that a pool has started: it tells the pool how it fares.
 class PooledService final : public config::DaemonService {
  public:
   PooledService(const std::string& folder, const std::string& file)
-      : link_(folder), worker_(build_worker(file, link_.spec().libraries)) {}
+      : link_(folder), worker_(build_worker(file, link_.spec().libraries, [this] { show_running(); })) {}
   void start(const std::stop_token& stop) override {
     link_.show({false, worker_->name()});
     try {
@@ -144,7 +146,6 @@ class PooledService final : public config::DaemonService {
       answer.task = call.task;
       answer.call_ms = call.age.count();
     });
-    link_.show({true, worker_->name()});
   }
   void stop(std::chrono::milliseconds limit) override {
     link_.probe_with({});
@@ -154,6 +155,9 @@ class PooledService final : public config::DaemonService {
   std::string trouble() const override { return worker_->trouble(); }
 
  private:
+  /// It runs once others find it in the registry: whoever submits the topology looks there next.
+  void show_running() { link_.show({true, worker_->name()}); }
+
   topology::PooledWorker link_;
   const std::unique_ptr<WorkerService> worker_;
 };

@@ -197,6 +197,7 @@ struct Worker::Impl {
     control_options.worker.tls = http_tls;
     control_options.worker.since_ms = control_options.topology.since_ms;
     control_options.masters = masters;
+    control_options.on_joined = options.on_joined;
     control_options.on_killed = [this] {
       finish(after_drain);
       if (options.on_killed) options.on_killed();

@@ -36,6 +36,9 @@ struct WorkerOptions {
   /// Called once, on a thread of the worker, after an order killed the topology: the worker has drained, stopped and
   /// left the registry, and the process may end. May be empty.
   std::function<void()> on_killed = {};
+  /// Called on a thread of the worker whenever its record has come to stand in the registry, where others find it, the
+  /// first time perhaps before start() has returned. May be empty; must not block.
+  std::function<void()> on_joined = {};
   /// The owner must call its beat(). Null: the worker makes one from its brokers' heartbeats and the system's clock,
   /// and calls beat() itself.
   std::shared_ptr<StandstillFence> fence = {};
