@@ -149,8 +149,7 @@ class Bench(Plan):
             try:
                 lines = {name: self.run(*variants[name], seconds * self.shorter) for name in order}
             except ProgramFailed as failure:  # the other figures are still worth knowing
-                print(f"{self.kind}, {title}: GIVEN UP: {failure}", flush=True)
-                self.report.failed = True
+                self.report.fail(f"{self.kind}, {title}: GIVEN UP: {failure}")
                 kept = {name: [] for name in variants}
                 break
             if not self.given.keep_noisy and max(line["others_cpu"] for line in lines.values()) > NOISE:
@@ -158,8 +157,7 @@ class Bench(Plan):
                 continue
             stalled = [name for name, line in lines.items() if line["count"] == 0 and not variants[name][1].get("idle")]
             if stalled:
-                print(f"{self.kind}, {title}: nothing came back to {' and '.join(stalled)} in a whole round", flush=True)
-                self.report.failed = True
+                self.report.fail(f"{self.kind}, {title}: nothing came back to {' and '.join(stalled)} in a whole round")
                 continue
             late = [name for name, line in lines.items() if not line["sustained"]]
             if late:
@@ -302,8 +300,7 @@ def run_brokers(given):
             try:
                 figures(bench, given.quick)
             except ProgramFailed as failure:  # what the other brokers can do is still worth knowing
-                print(f"{kind}: GIVEN UP: {failure}", flush=True)
-                report.failed = True
+                report.fail(f"{kind}: GIVEN UP: {failure}")
     if report.thrown_away:
         print(f"{report.thrown_away} rounds were thrown away: other processes took more than {NOISE} of a CPU")
     if report.missing:

@@ -112,6 +112,5 @@ def run_discovery(given):
             try:
                 figures(bench, report, kind, rounds)
             except (ProgramFailed, StartError) as failure:
-                print(f"{kind}: GIVEN UP: {failure}", flush=True)
-                report.failed = True
+                report.fail(f"{kind}: GIVEN UP: {failure}")
     return report, report.verdict()

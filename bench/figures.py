@@ -44,11 +44,26 @@ class Programs:
 
 
 class Verdict:
-    """Collects a benchmark's results in the form of its JSON file, and counts the targets that were met."""
+    """Collects a benchmark's results in the form of its JSON file and why it failed, and counts the targets that were met."""
 
     def __init__(self):
         self.results = []
-        self.failed = False
+        self.reasons = []
+
+    def fail(self, reason):
+        """Says that this makes the run a failed one, whose figures cannot be kept, and notes it for the file."""
+        if reason not in self.reasons:
+            print(reason, flush=True)
+            self.reasons.append(reason)
+
+    @property
+    def failed(self):
+        """Why the run failed, in one text; empty for a good run."""
+        return "; ".join(self.reasons)
+
+    def written(self):
+        """What the benchmark's file has of this: a failed run's has the key `failed`, by which kept.py refuses it."""
+        return {"results": self.results, **({"failed": self.failed} if self.reasons else {})}
 
     def verdict(self):
         judged = {}

@@ -142,8 +142,7 @@ def run_fleet(given):
             try:
                 lines = [turn() for _ in range(rounds)]
             except (StartError, SystemExit) as failure:  # wait_for() ends a test
-                print(f"{title}: GIVEN UP: {failure}", flush=True)
-                report.failed = True
+                report.fail(f"{title}: GIVEN UP: {failure}")
                 return
             judge(title, lambda figure: [line[figure] for line in lines])
 

@@ -99,7 +99,7 @@ def main():
     facts["load_average_after"] = os.getloadavg()[0]
     file.parent.mkdir(parents=True, exist_ok=True)
     written = {"machine": facts, "commit": commit(root), "command": command, "seconds": time.monotonic() - began,
-               "results": report.results}
+               **report.written()}
     file.write_text(json.dumps(written, indent=1) + "\n")
     print(f"{verdict}\n{time.monotonic() - began:.0f} s; all figures are in {file}")
     sys.exit(1 if report.failed else 0)

@@ -192,6 +192,6 @@ def run_soak(given):
     for line in map(json.loads, done.stdout.splitlines()):
         report.compare(line["figure"], line["unit"], {OURS: [line["value"]]}, at_most=line.get("at_most"))
     if done.returncode != 0:
-        report.failed = True
-        return report, "VIOLATED, see above"
+        report.fail(f"VIOLATED: the soak ended with status {done.returncode}")
+        return report, "what was violated stands above"
     return report, "every tuple is accounted for, no key was out of order, memory stayed flat"

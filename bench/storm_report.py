@@ -100,8 +100,7 @@ class Rounds:
     def say_problem(self, report):
         report.thrown_away += self.thrown
         if self.problem:
-            report.failed = True
-            print(f"{self.title}: GIVEN UP: {self.problem}", flush=True)
+            report.fail(f"{self.title}: GIVEN UP: {self.problem}")
         elif not self.lines[OURS]:
             print(f"{self.title}: no round was quiet", flush=True)
 
@@ -140,8 +139,7 @@ class Measurement:
             try:
                 (self.echo if topology == "echo" else self.memory)(*phase)
             except (StartError, ProgramFailed) as failure:  # the other phases are measured in any case
-                self.report.failed = True
-                print(f"{topology}, {tracking(tracked)}, {setting}: GIVEN UP: {failure}", flush=True)
+                self.report.fail(f"{topology}, {tracking(tracked)}, {setting}: GIVEN UP: {failure}")
         if self.report.thrown_away:
             print(f"{self.report.thrown_away} rounds were thrown away: other processes took more than {NOISE} of a CPU")
         self.print_table()

@@ -76,14 +76,13 @@ class Pair:
         return lines["ours"], lines["theirs"]
 
     def compare(self, report, beside, statistic="mean_ms", **target):
-        """Adds a line for this statistic to the report, or prints why there is none."""
+        """Adds a line for this statistic to the report, or the reason why there is none. A lost message fails the run."""
         lost = sum(line["lost"] for line in self.ours)
         if lost:
-            print(f"{self.title}: {lost} of {sum(line['n'] for line in self.ours) + lost} did not come back", flush=True)
+            report.fail(f"{self.title}: {lost} of {sum(line['n'] for line in self.ours) + lost} did not come back")
         for who, problem in (("", self.our_problem), (f" {beside}:", self.their_problem)):
             if problem:
-                print(f"{self.title}:{who} NOT SERVED: {problem}", flush=True)
-        report.failed = report.failed or bool(lost or self.our_problem or self.their_problem)
+                report.fail(f"{self.title}:{who} NOT SERVED: {problem}")
         if self.noisy:
             print(f"{self.title}: other processes took more than {NOISE} of a CPU in {self.noisy} rounds", flush=True)
         if self.our_problem:

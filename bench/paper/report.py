@@ -22,7 +22,7 @@ from paper.systems import KINDS, StartError, Unavailable
 # `take(given, report, progress)`, which adds to the report's results and returns the plots. `given` has `scale`
 # ("quick", "usual", "full"), `build` and `out` (the folder of the figures' files). take() raises ProgramFailed or
 # StartError when nothing can be measured. A point that cannot be measured becomes {"x": .., "failed": why}, and
-# report.failed is set.
+# report.fail() is told why.
 FIGURES = [
     *sizes.FIGURES,
     *drivers.FIGURES,
@@ -42,16 +42,14 @@ def file_of(folder, figure):
     return folder / (f"figure-{figure.name}.json" if figure.name[0].isdigit() else f"{figure.name}.json")
 
 
-def write(given, figure, facts, report, plots, problem):
+def write(given, figure, facts, report, plots):
     """Writes the figure's file by way of a rename, so that a reader never sees a part of it."""
     facts = {**facts, "load_average_after": os.getloadavg()[0]}
     content = {"figure": figure.name, "title": figure.title, "machine": facts, "commit": commit(Path(__file__).parent),
                "command": command_line(sys.argv[1:]),
                "taken": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds"),
                "quick": given.scale == "quick", "scale": given.scale,
-               "versions": versions.asked(given.build, *figure.servers), "results": report.results, "plots": plots}
-    if problem:
-        content["failed"] = problem
+               "versions": versions.asked(given.build, *figure.servers), **report.written(), "plots": plots}
     file = file_of(given.out, figure)
     part = file.with_suffix(".part")
     part.write_text(json.dumps(content, indent=1) + "\n")
@@ -62,17 +60,16 @@ def write(given, figure, facts, report, plots, problem):
 def take(given, figure, whole, progress):
     """Measures one figure. Its results are also added to `whole`."""
     print(f"\nfigure {figure.name}: {figure.title}", flush=True)
-    facts, report, plots, problem = machine(), Report(), [], None
+    facts, report, plots = machine(), Report(), []
     report.print_head()
     began = time.monotonic()
     try:
         plots = figure.take(given, report, progress)
     except (ProgramFailed, StartError, Unavailable) as failure:
-        problem = str(failure)
-        print(f"figure {figure.name}: GIVEN UP: {problem}", flush=True)
+        report.fail(f"figure {figure.name}: GIVEN UP: {failure}")
     whole.results += report.results
-    whole.failed = whole.failed or report.failed or problem is not None
-    file = write(given, figure, facts, report, plots, problem)
+    whole.reasons += report.reasons
+    file = write(given, figure, facts, report, plots)
     page.write(given.out.parent)
     progress.figure_done(figure.seconds(given))
     print(f"figure {figure.name}: {time.monotonic() - began:.0f} s, {file}", flush=True)

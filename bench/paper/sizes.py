@@ -125,7 +125,10 @@ class Deviation:
         for source in self.SOURCES:
             file = given.out / f"figure-{source}.json"
             if file.exists():
-                plots += [self.plot(plot, source, report) for plot in json.loads(file.read_text())["plots"]]
+                measured = json.loads(file.read_text())
+                plots += [self.plot(plot, source, report) for plot in measured["plots"]]
+                if measured.get("failed"):
+                    report.fail(f"figure {source}, of which it is drawn: {measured['failed']}")
         if not plots:
             raise ProgramFailed(f"there is nothing to draw it from in {given.out}; run --figure 7 or --figure 8 first")
         return plots

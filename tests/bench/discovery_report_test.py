@@ -1,9 +1,16 @@
 #!/usr/bin/python3
-"""How the discovery benchmark judges rounds that had company; no program runs."""
+"""How the discovery benchmark judges rounds that had company, and what its file says when it failed; no program runs."""
 import contextlib
 import io
+import json
+import tempfile
 import unittest
+from pathlib import Path
+from unittest import mock
 
+import discovery_report
+import kept
+import report as benchmarks
 from brokers_report import Report
 from discovery_report import newcomers
 
@@ -38,6 +45,36 @@ class NewcomersTest(unittest.TestCase):
         value, met, said = self.judged((360.0, 1.5))
         self.assertEqual((value, met), (360.0, None))
         self.assertIn("not judged: no round was quiet", said)
+
+
+class FileTest(unittest.TestCase):
+    """What `./dev bench discovery` leaves behind."""
+
+    def run_with(self, figures):
+        """Runs it with `figures` in place of the measurement, in a tree that is committed. Returns status and file."""
+        folder = tempfile.TemporaryDirectory()
+        self.addCleanup(folder.cleanup)
+        file = Path(folder.name) / "discovery.json"
+        with mock.patch.object(discovery_report, "figures", figures), mock.patch.object(discovery_report, "selection"), \
+                mock.patch.object(benchmarks, "commit", return_value="0123"), mock.patch.object(benchmarks.signal, "signal"), \
+                mock.patch("sys.argv", ["report.py", "discovery", "--json", str(file)]), \
+                contextlib.redirect_stdout(io.StringIO()), self.assertRaises(SystemExit) as ended:
+            benchmarks.main()
+        return ended.exception.code, file
+
+    def test_a_fleet_that_is_given_up_fails_and_the_file_cannot_be_kept(self):
+        def figures(_bench, report, kind, _rounds):
+            if kind == "exclusive":
+                raise discovery_report.StartError("no server")
+            report.compare(f"{kind}: ready", "s", [1.0])
+        status, file = self.run_with(figures)
+        self.assertEqual((status, json.loads(file.read_text())["failed"]), (1, "exclusive: GIVEN UP: no server"))
+        with self.assertRaisesRegex(kept.Unusable, "is of a run that failed: exclusive: GIVEN UP: no server"):
+            kept.read(file)
+
+    def test_a_good_run_can_be_kept(self):
+        status, file = self.run_with(lambda _bench, report, kind, _rounds: report.compare(f"{kind}: ready", "s", [1.0]))
+        self.assertEqual((status, [each["name"] for each in kept.read(file)["results"]]), (0, ["shared: ready", "exclusive: ready"]))
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import types
 import unittest
 from pathlib import Path
 
+import kept
 from brokers_report import Report
 from figures import ProgramFailed
 from paper import drivers, sizes
@@ -65,6 +66,26 @@ class PaperTest(unittest.TestCase):
         (Path(folder.name) / "paper").mkdir()
         self.given = types.SimpleNamespace(scale="usual", quick=False, full=False, out=Path(folder.name) / "paper", build=Path("/build"),
                                            figure=None, broker=None, points=None, rounds=None)
+
+    class Figure:
+        broker, title, servers = None, "a figure", []
+
+        def __init__(self, name, take):
+            self.name, self.take = name, take
+
+        def seconds(self, _given):
+            return 1
+
+    def write(self, *figures):
+        self.addCleanup(setattr, paper_report, "FIGURES", paper_report.FIGURES)
+        paper_report.FIGURES = figures
+        return paper_report.run_paper(self.given)
+
+    @staticmethod
+    def keepable(file):
+        """Raises Unusable when `./dev bench keep` refuses the file for what was measured: as of a tree that is committed."""
+        file.write_text(json.dumps({**json.loads(file.read_text()), "commit": "0123"}))
+        return kept.read(file)
 
     def run_figure(self, module, figure, running):
         self.addCleanup(setattr, module, "system", module.system)
@@ -124,6 +145,20 @@ class PairTest(PaperTest):
         pair.compare(report, "bare")
         self.assertTrue(report.failed)
         self.assertIn("2 of 802 did not come back", self.out.getvalue())
+        for statistic in ("p50_ms", "p99_ms"):
+            pair.compare(report, "bare", statistic)
+        self.assertEqual(report.reasons, ["x: 2 of 802 did not come back"])  # told once, whatever is compared
+
+        def take(_given, report, _progress):
+            pair.compare(report, "bare")
+            return []
+        whole, _ = self.write(self.Figure("7", take), self.Figure("8", lambda *_: []))
+        self.assertTrue(whole.failed)
+        file = self.given.out / "figure-7.json"
+        self.assertEqual(json.loads(file.read_text())["failed"], "x: 2 of 802 did not come back")
+        with self.assertRaisesRegex(kept.Unusable, "is of a run that failed: x: 2 of 802 did not come back"):
+            self.keepable(file)
+        self.keepable(self.given.out / "figure-8.json")
 
 
 class SizesTest(PaperTest):
@@ -158,6 +193,14 @@ class SizesTest(PaperTest):
         self.assertEqual((drawn[0]["statistic"], report.results[0]["met"]), ("stddev_ms", False))
         self.assertAlmostEqual(report.results[0]["ratio"], 1.5)
         self.assertEqual([result["target"] for result in report.results if "1 MB" in result["name"]], [None] * 4)
+        self.assertFalse(report.failed)
+
+    def test_figure_9_of_a_run_that_failed_is_one_that_failed(self):
+        plots, _ = self.by_size()
+        (self.given.out / "figure-7.json").write_text(json.dumps({"plots": plots, "failed": "2 did not come back"}))
+        report = Report()
+        sizes.Deviation().take(self.given, report, None)
+        self.assertEqual(report.failed, "figure 7, of which it is drawn: 2 did not come back")
 
     def test_figure_9_without_the_others_says_what_to_run(self):
         with self.assertRaisesRegex(ProgramFailed, "--figure 7"):
@@ -208,24 +251,10 @@ class DriversTest(PaperTest):
         plots, report = self.run_figure(drivers, drivers.FIGURES[0], running)
         points = plots[0]["series"][0]["points"]
         self.assertEqual(["failed" in one for one in points], [False] * 5 + [True] * 2)
-        self.assertTrue(report.failed)
+        self.assertIn("RabbitMQ, 5000 x 1/s, shared: NOT SERVED: too many", report.reasons)
 
 
 class FilesTest(PaperTest):
-    class Figure:
-        broker, title, servers = None, "a figure", []
-
-        def __init__(self, name, take):
-            self.name, self.take = name, take
-
-        def seconds(self, _given):
-            return 1
-
-    def write(self, *figures):
-        self.addCleanup(setattr, paper_report, "FIGURES", paper_report.FIGURES)
-        paper_report.FIGURES = figures
-        return paper_report.run_paper(self.given)
-
     def test_a_figure_that_is_taken_again_leaves_the_others_alone(self):
         self.write(self.Figure("7", lambda *_: [{"series": []}]), self.Figure("storm", lambda *_: [1]))
         self.given.figure = ["7"]
@@ -240,7 +269,7 @@ class FilesTest(PaperTest):
             raise StartError("no server")
         whole, _ = self.write(self.Figure("7", fail), self.Figure("8", lambda *_: [4]))
         self.assertTrue(whole.failed)
-        self.assertEqual(json.loads((self.given.out / "figure-7.json").read_text())["failed"], "no server")
+        self.assertEqual(json.loads((self.given.out / "figure-7.json").read_text())["failed"], "figure 7: GIVEN UP: no server")
         self.assertEqual(json.loads((self.given.out / "figure-8.json").read_text())["plots"], [4])
 
     def test_a_broker_chooses_its_figures(self):

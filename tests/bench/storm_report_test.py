@@ -186,7 +186,7 @@ class StormReportTest(unittest.TestCase):
             report, verdict = paper_report.run_paper(given)
             written = json.loads((given.out / "storm.json").read_text())
         self.assertTrue(report.failed)
-        self.assertEqual((written["figure"], written["failed"]), ("storm", "Maven Central cannot be reached: x"))
+        self.assertEqual((written["figure"], written["failed"]), ("storm", "figure storm: GIVEN UP: Maven Central cannot be reached: x"))
         self.assertIn("FAILED", verdict)
 
 
