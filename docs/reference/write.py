@@ -6,7 +6,8 @@ usage: write.py BUILD_DIR [--check]      (./dev reference; --check: only say whe
 Each daemon reads its default file of the folder above with all that is commented out there taken in, and lists the keys
 that it asked for (--list-keys): names, kinds, defaults and limits come from the code that reads them. What a key means
 comes from the comment above it in that file, or from the tables of a README; a key of which neither says anything is an
-error. The keys of `conf` that our classes take, with all that is said of them, come from where the classes declare them
+error. What depends on the file's own values (the default of `tasks`, the names of brokers, `driver` or `sensor`) comes from
+two more files that differ in these. The keys of `conf` that our classes take, with all that is said of them, come from where the classes declare them
 (ConfKey in topology/conf_keys.h), by the program list_conf_keys.
 """
 
@@ -42,13 +43,17 @@ DAEMONS = (
 OWNERS = {"all": ["spouts.<name>.", "bolts.<name>."], "spouts": ["spouts.<name>."], "bolts": ["bolts.<name>."],
           "inputs": ["bolts.<name>.inputs[]."]}
 
-# Defaults that the example's own values decide, as they are for any file: (value, default).
-FOR_ANY_FILE = {
-    "tasks": (None, "`parallelism`"),
-    "broker": ("text: `rabbitmq`, `kafka`, `activemq`, `embedded`, or a name under `brokers`", None),
-    "driver": (None, "**required**, or `sensor`"),
-    "sensor": (None, "the older name of `driver`"),
-}
+# A topology whose own values show in what the daemon lists of spouts and bolts, and two sets of such values.
+PROBE = """\
+registry: "embedded://probe"
+topology.name: probe
+brokers: {{{broker}: "amqp://127.0.0.1/"}}
+spouts: {{read: {{broker: {broker}, {driver}: probe, channel: in, fields: [data, driverID], parallelism: {parallelism}}}}}
+bolts: {{send: {{broker: {broker}, {driver}: probe, channel: out, fields: [data, driverID], parallelism: {parallelism},
+                inputs: [{{from: read}}]}}}}
+"""
+PROBES = ({"broker": "lab-broker", "driver": "driver", "parallelism": 17},
+          {"broker": "hall-broker", "driver": "sensor", "parallelism": 19})
 # Classes of ours that read `conf`: what they are, how their keys begin, what tells of each; by their names in list_conf_keys.
 CLASSES = {
     "windows": ("Windowed bolts", "window.", "topology/windows/README.md"),
@@ -163,8 +168,62 @@ def lookup(key, said):
     return next((text for text in found if text[0]), next(iter(found), ("", "")))
 
 
-def table(keys, said, mentioned):
-    """Markdown of a daemon's keys, and those of which nothing is said."""
+def asked(program, configuration, binaries):
+    """The keys that a daemon lists for a file."""
+    name, *options = program.split()
+    listed = subprocess.run([binaries / name, *options, "--config", configuration, "--list-keys"],
+                            capture_output=True, text=True)
+    if listed.returncode != 0:
+        sys.exit(f"{program} does not take this file:\n{configuration.read_text()}\n{listed.stderr}")
+    return json.loads(listed.stdout)
+
+
+def for_any_file(binaries):
+    """What of a spout's or bolt's keys depends on the file that the daemon reads, as it is for any file: {key: (value or None,
+    default or None)}. It is where the lists for the two PROBES differ."""
+    with tempfile.TemporaryDirectory(prefix="iotcloud-reference-") as folder:
+        lists = []
+        for values in PROBES:
+            file = Path(folder) / f"{values['broker']}.yaml"
+            file.write_text(PROBE.format(**values))
+            lists.append({entry["key"]: entry for entry in asked("iotcloud-topology", file, binaries)})
+
+    def each(key, what):
+        return [entries[key][what] for entries in lists]
+
+    def value_of(key, what):
+        """The key of PROBES whose value is, each time, what `shown` says of this key."""
+        found = [name for name in PROBES[0] if [str(values[name]) for values in PROBES] == what]
+        if not found:
+            sys.exit(f"iotcloud-topology lists {what} of {key} for two files, and neither has such a value: docs/reference/write.py "
+                     "does not know of what it depends")
+        return found[0]
+
+    true = {}
+    for key in lists[0]:
+        if not re.match(r"(spouts|bolts)\.<name>\.\w+$", key):
+            continue
+        value = fallback = None
+        if len(set(each(key, "allowed"))) > 1:
+            words = [allowed.split(", ") for allowed in each(key, "allowed")]
+            fixed = [word for word in words[0] if word in words[1]]
+            own = [", ".join(word.strip('"') for word in some if word not in fixed) for some in words]
+            value = f"{lists[0][key]['kind']}: {', '.join(fixed)}, or a name under `{value_of(key, own)}s`"
+        if len(set(each(key, "default"))) > 1:
+            fallback = f"`{value_of(key, each(key, 'default'))}`"
+        if len(set(each(key, "required"))) > 1:
+            owner = key.rpartition(".")[0]
+            names = {values["driver"] for values in PROBES} - {key.removeprefix(f"{owner}.")}
+            if len(names) != 1 or each(f"{owner}.{min(names)}", "required") != each(key, "required")[::-1]:
+                sys.exit(f"iotcloud-topology requires {key} of some files, but not in turns with the other name of it")
+            fallback = f"**required**, or `{min(names)}`"
+        if value or fallback:
+            true[key] = (value, fallback)
+    return true
+
+
+def table(keys, said, mentioned, true):
+    """Markdown of a daemon's keys, and those of which nothing is said. `true`: as for_any_file() returns it."""
     rows, unsaid = [], []
     for entry in keys:
         key = entry["key"]
@@ -173,9 +232,8 @@ def table(keys, said, mentioned):
             unsaid.append(key)
         fallback = "**required**" if entry["required"] else f"`{entry['default']}`" * bool(entry["default"])
         kind = entry["kind"] + f": {entry['allowed']}" * bool(entry["allowed"])
-        if re.match(r"(spouts|bolts)\.<name>\.\w+$", key):
-            true_kind, true_fallback = FOR_ANY_FILE.get(key.rsplit(".", 1)[-1], (None, None))
-            kind, fallback = true_kind or kind, true_fallback or fallback
+        true_kind, true_fallback = true.get(key, (None, None))
+        kind, fallback = true_kind or kind, true_fallback or fallback
         rows.append("| " + " | ".join(cell.replace("|", "\\|") for cell in (f"`{key}`", kind, fallback, own)) + " |")
     return "\n".join(["| key | value | default | meaning |", "|---|---|---|---|", *rows]), unsaid
 
@@ -188,15 +246,12 @@ def section(program, file, readme, binaries):
         folder.mkdir(mode=0o700)
         configuration = folder / file
         configuration.write_text(furnished(complete, folder, binaries))
-        name, *options = program.split()
-        listed = subprocess.run([binaries / name, *options, "--config", configuration, "--list-keys"],
-                                capture_output=True, text=True)
-    if listed.returncode != 0:
-        sys.exit(f"{program} does not take {file} with all that is commented out in it:\n{listed.stderr}")
+        keys = asked(program, configuration, binaries)
     beside = {key: text for key, text in comments(complete).items() if any(text)}
     said = tables(readme and ROOT / readme) | beside
     mentioned = source + ((ROOT / readme).read_text() if readme else "")
-    text, unsaid = table(json.loads(listed.stdout), said, mentioned)
+    true = for_any_file(binaries) if program == "iotcloud-topology" else {}
+    text, unsaid = table(keys, said, mentioned, true)
     if unsaid:
         where = f"config/{file}" + f" or {readme}" * bool(readme)
         sys.exit(f"{where}: nothing is said of {', '.join(unsaid)}: add a comment that tells what each is for")
