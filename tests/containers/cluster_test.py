@@ -129,6 +129,14 @@ def check_round_trip(cluster, name="first"):
     seen = json.loads(cluster.cli("topology", "show", "echo", "-o", "json"))
     require(len(seen["workers"]) == 2 and sum(one["emitted"] for one in seen["components"] if one["id"] == "receive") >= 500,
             f"the workers are not seen from outside: {seen}")
+    metered = json.loads(cluster.cli("topology", "metrics", "echo", "-o", "json"))
+    require(metered["workers"] == 2 and any(one["component"] == "receive" and one["sum"]["emitted"] >= 500
+                                            for one in metered["components"]), f"the workers are not metered from outside: {metered}")
+    # A tap shows what comes while it is there.
+    cluster.cli("deploy", "loadgen.so", "--gateway", "gateway-1", "--property", "rate=10")
+    tapped = cluster.cli("topology", "tap", "echo", "receive", "--count", "3", "-o", "json").splitlines()
+    require(len(tapped) == 3 and all("driverID" in json.loads(sample)["fields"] for sample in tapped),
+            f"the workers are not tapped from outside: {tapped}")
     cluster.cli("undeploy", "--gateway", "gateway-1", "--driver", "loadgen")
 
 
