@@ -29,12 +29,13 @@ using testing::SizeIs;
 
 constexpr int partitions = 4;
 
-/// Remembers which task of which worker's spout brought which message.
+/// Remembers which task of which worker's spout brought which message, and to which task of the bolt.
 class WhoReadsBolt final : public BasicBolt {
  public:
   struct Read {
     std::string worker;
-    int task = 0;  ///< of the spout
+    int task = 0;   ///< of the spout
+    int taker = 0;  ///< task of the bolt
     std::string channel, driver;
     int number = 0;
   };
@@ -48,9 +49,10 @@ class WhoReadsBolt final : public BasicBolt {
     return reads_;
   }
   void declare_output_fields(OutputFieldsDeclarer&) const override {}
+  void prepare(const Config&, const TopologyContext& context) override { task_ = context.task; }
   void execute(const Tuple& tuple, BasicOutputCollector&) override {
     const std::lock_guard lock(mutex_);
-    reads_.push_back({worker_, tuple.source_task(), tuple.source_component(), tuple.get<std::string>("driverID"),
+    reads_.push_back({worker_, tuple.source_task(), task_, tuple.source_component(), tuple.get<std::string>("driverID"),
                       std::stoi(tuple.get<std::string>("text"))});
   }
 
@@ -58,6 +60,7 @@ class WhoReadsBolt final : public BasicBolt {
   static inline std::mutex mutex_;
   static inline std::vector<Read> reads_;  ///< guarded by mutex_
   const std::string worker_;
+  int task_ = 0;
 };
 
 tests::PrivateServer& kafka() {
@@ -87,9 +90,9 @@ class KafkaPartitions : public Endpoints {
     for (const auto& channel : channels) {
       yaml += "  " + channel + ": {broker: kafka, driver: d, channel: " + channel +
               ", fields: [text, driverID, time], builder: text, parallelism: " + std::to_string(tasks) + "}\n";
-      inputs += (inputs.empty() ? "{from: " : ", {from: ") + channel + "}";
+      inputs += (inputs.empty() ? "{from: " : ", {from: ") + channel + ", grouping: fields, fields: [driverID]}";
     }
-    yaml += "bolts:\n  who: {class: Who, inputs: [" + inputs + "]}\n";
+    yaml += "bolts:\n  who: {class: Who, tasks: 4, inputs: [" + inputs + "]}\n";
     ComponentRegistry components;
     components.add_bolt("Who", [name] { return make_bolt<WhoReadsBolt>(name); });
     names_.push_back(name);
@@ -237,7 +240,7 @@ TEST_F(KafkaPartitions, SpreadOverWorkersThatComeAndGoWithEachDriversMessagesInO
   expect_all_in_order();
 }
 
-TEST_F(KafkaPartitions, WithOneNumberOfAllChannelsOfADriverAreReadInOneWorker) {
+TEST_F(KafkaPartitions, WithOneNumberOfAllChannelsOfADriverAreReadInOneWorkerAndMeetInOneTask) {
   publish_on("up", broker_with(partitions));
   publish_on("side", broker_with(partitions));
   show({"up", "side"});
@@ -252,11 +255,16 @@ TEST_F(KafkaPartitions, WithOneNumberOfAllChannelsOfADriverAreReadInOneWorker) {
     }
     return read.size() == std::size_t{2} * instances;
   }));
-  std::map<std::string, std::set<std::string>> workers;
+  using Taker = std::pair<std::string, int>;  // a worker, and a task of the bolt
+  std::map<std::string, std::set<Taker>> takers;
+  std::set<Taker> all;
   for (const auto& read : WhoReadsBolt::reads()) {
-    if (read.number == sent_ - 1) workers[read.driver].insert(read.worker);
+    if (read.number != sent_ - 1) continue;
+    takers[read.driver].emplace(read.worker, read.taker);
+    all.emplace(read.worker, read.taker);
   }
-  for (const auto& [driver, names] : workers) EXPECT_THAT(names, SizeIs(1)) << driver;
+  for (const auto& [driver, of_driver] : takers) EXPECT_THAT(of_driver, SizeIs(1)) << driver;
+  EXPECT_GT(all.size(), 2U) << "and both workers' bolts have several tasks that take";
 }
 
 TEST_F(KafkaPartitions, ThatAreAddedAreReadAndTheOthersAreReadOnFromWhereTheyWere) {
