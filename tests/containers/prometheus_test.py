@@ -1,12 +1,14 @@
 #!/usr/bin/python3
 """deploy/cluster/prometheus.yml reads the pages of all daemons of docker-compose.yml: it names each of them, at the address of
 its configuration, and files that its container gets. A daemon of each kind, with its shipped configuration and with secrets as
-`./dev cluster up` makes them, shows its metrics to a reader with those files, and nothing to others.
+`./dev cluster up` makes them, shows its metrics to a reader with those files, and nothing to others. Debian's Prometheus, with
+that file, reads them, too.
 
 usage: prometheus_test.py BIN_DIR
 """
 
 import http.client
+import os
 import re
 import socket
 import ssl
@@ -22,10 +24,12 @@ sys.path[:0] = [str(ROOT / "deploy/cluster"), str(ROOT / "tests/servers")]
 
 import cluster  # noqa: E402  (its folder is known now)
 import cluster_secrets  # noqa: E402
-from private_cluster import PrivateCluster, free_port, require, wait_for  # noqa: E402
+import private_prometheus  # noqa: E402
+from private_cluster import PrivateCluster, Unavailable, free_port, require, wait_for  # noqa: E402
 
 CONFIGURATIONS = ROOT / "deploy/cluster"
 SAMPLE = CONFIGURATIONS / "prometheus.yml"
+SKIPPED = 77
 METRIC = re.compile(r"^iotcloud_\w+(\{.*\})? \S+$", re.M)
 
 
@@ -111,9 +115,10 @@ def main():
         cluster_secrets.make(programs, secrets)
         with PrivateCluster(Path(work) / "out", programs, programs.parent / "plugins") as machine:
             machine.zookeeper = machine.server("zookeeper")
+            ports = {}
             for service, command in {"master-1": ["iotcloud-master"], "gateway-1": ["iotcloud-gateway"],
                                      "topology-1": ["iotcloud-topology"], "pool-1": ["iotcloud-topology", "--pool"]}.items():
-                port = start(machine, command, service, secrets)
+                port = ports[service] = start(machine, command, service, secrets)
                 wait_for(f"{service} answers", lambda service=service, port=port: read(secrets, service, port)[0] == 200)
                 wait_for(f"{service} is well", lambda service=service, port=port: is_well(programs, secrets, service, port))
                 text = read(secrets, service, port)[1]
@@ -125,6 +130,11 @@ def main():
                 status, text = read(secrets, "prometheus", port)
                 require(status == 0 and "hostname" in text.lower(), f"the certificate of {service} names prometheus, too: {text[:200]}")
                 print(f"{service}: its metrics are read as {SAMPLE.name} says, and with nobody else's token or certificate")
+            try:
+                private_prometheus.check(machine, SAMPLE, secrets, ports)
+            except Unavailable as why:
+                print(f"SKIPPED: no Prometheus: {why}")
+                sys.exit(1 if os.environ.get("CI") == "true" else SKIPPED)
 
 
 if __name__ == "__main__":
