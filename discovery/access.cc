@@ -74,7 +74,7 @@ int RegistryAccess::rights_of(const RegistryUser& user, const std::string& path,
   const auto branches = paths_.branches();
   const bool in_a_branch =
       std::any_of(branches.begin(), branches.end(), [&](const auto& root) { return is_at_or_below(path, root); });
-  if (!in_a_branch) return read | create;  // a node above the branches: the first process that comes makes the branches
+  if (!in_a_branch) return read;  // above the branches, which masters make: keep_branches()
   return user.role == RegistryUser::Role::gateway ? of_gateway(user.name, path, creator) : of_worker(path);
 }
 
@@ -102,8 +102,11 @@ bool RegistryAccess::is_of_orders(const std::string& path) const {
 }
 
 int RegistryAccess::of_worker(const std::string& path) const {
-  if (is_at_or_below(path, paths_.groups) || is_at_or_below(path, paths_.pools)) return all;
-  if (!is_at_or_below(path, paths_.topologies)) {
+  for (const auto& branch : {paths_.groups, paths_.pools, paths_.topologies}) {
+    if (path == branch) return read | create | remove;  // it is all workers', so none of them may shut others out
+  }
+  if (is_below(path, paths_.groups) || is_below(path, paths_.pools)) return all;
+  if (!is_below(path, paths_.topologies)) {
     return is_below(path, paths_.gateways) && is_of_orders(path) ? 0 : read;
   }
   const auto level = std::count(path.begin() + static_cast<std::ptrdiff_t>(paths_.topologies.size()), path.end(), '/');

@@ -24,7 +24,8 @@ std::vector<RegistryUser> read_registry_users(const std::string& file);
 
 /// The access rules of the registry's nodes: only masters write orders and removals of orders, only a gateway (and
 /// masters) its own records, only a gateway and masters read its orders. A gateway takes away the removals that it has
-/// followed. Every process gives the nodes that it creates these rights, whoever they are for. Immutable: thread safe.
+/// followed. Only masters make the branches (keep_branches()): whoever made one would own all that is below. Every
+/// process gives the nodes that it creates these rights, whoever they are for. Immutable: thread safe.
 class RegistryAccess {
  public:
   /// Rights on one node, as ZooKeeper has them: `create` and `remove` are about its children.

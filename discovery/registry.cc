@@ -6,6 +6,7 @@
 #include <iotcloud/discovery/client/registry_client.h>
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/discovery/logger.h>
+#include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/zookeeper/connection.h>
 #include <iotcloud/discovery/zookeeper/rights.h>
@@ -96,6 +97,34 @@ RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
   const auto settings = settings_of(options);
   refuse_exposed(options, settings.url);
   return zookeeper::renew_rights(settings, paths, options.operation_timeout, progress);
+}
+
+namespace {
+
+/// Makes a branch if it is not there. \return false: the registry is away
+bool make_branch(Registry& registry, const std::string& branch) {
+  try {
+    if (!registry.get(branch)) registry.create(branch, "");
+  } catch (const RegistryError& error) {
+    if (error.code() == RegistryErrorCode::away || error.code() == RegistryErrorCode::closed) return false;
+    if (error.code() == RegistryErrorCode::exists) return true;  // by another master meanwhile
+    logger.error(
+        "{}; all records of its kind are below that node. If another process made it, and keeps masters out, "
+        "`iotcloud registry rights` takes it away and makes it anew",
+        error.what());
+  }
+  return true;
+}
+
+}  // namespace
+
+GuardPtr keep_branches(Registry& registry, const Paths& paths) {
+  return registry.on_session([&registry, branches = paths.branches()](SessionState state) {
+    if (state != SessionState::connected) return;
+    for (const std::string& branch : branches) {
+      if (!make_branch(registry, branch)) return;  // the next connection makes the rest
+    }
+  });
 }
 
 void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence) {

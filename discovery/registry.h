@@ -164,12 +164,18 @@ struct RenewedRights {
 };
 /// Gives all nodes of a fleet in ZooKeeper the rights that `options.access` says now: a node keeps those of its
 /// creation until somebody does, so a user that was added later may not enter, and one that was removed still may.
+/// Makes the branches that are missing.
 /// Waits for the registry's answers. A second run goes on where one ended early.
 /// \param options a master's, with user and access. \param progress called now and then; may be empty.
 /// \throws config::Error when the registry does not answer, or does not let this user change a node's rights; for an
 /// embedded registry, which has no rights
 RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
                            const std::function<void(std::size_t nodes)>& progress = {});
+
+/// Makes the nodes below which all records are (Paths::branches), as far as they are missing; masters do so whenever
+/// they have reached the registry, which may have been emptied meanwhile. With RegistryAccess nobody else may. Returns
+/// at once; the log tells what a master could not make or may not read. \return ends it when it is destroyed
+GuardPtr keep_branches(Registry& registry, const Paths& paths);
 
 /// Sets a node's data; creates the node and its parents if they are missing.
 void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence = {});

@@ -164,7 +164,8 @@ void Holds::refused(const HoldPtr& hold, ReplyStatus status) {
     logger.warn("{} cannot be created for now: {}", hold->path,
                 status == ReplyStatus::exists ? "another session's node stands there; waiting for it to go"
                 : status == ReplyStatus::denied
-                    ? "what stands above it belongs to another user of the registry; trying on"
+                    ? "what stands above it belongs to another user of the registry (or no master has made it yet); "
+                      "trying on"
                     : "the registry refuses; trying on");
   }
   if (status == ReplyStatus::exists) {

@@ -72,18 +72,28 @@ class RightsRenewal {
     const std::string& chroot = settings_.url.chroot;
     for (std::size_t end = 1; end < chroot.size();) {
       end = std::min(chroot.find('/', end + 1), chroot.size());
-      renew(chroot.substr(0, end), "/", "");
+      if (!renew(chroot.substr(0, end), "/", "")) make(chroot.substr(0, end), "/");
     }
     for (std::size_t end = paths_.sensors.find('/', 1); end != std::string::npos;
          end = paths_.sensors.find('/', end + 1)) {
       const std::string above = paths_.sensors.substr(0, end);
-      renew(chroot + above, above, "");
+      if (!renew(chroot + above, above, "")) make(chroot + above, above);
     }
-    for (const std::string& branch : paths_.branches()) walk(branch, "");
+    for (const std::string& branch : paths_.branches()) {
+      walk(branch, "");
+      make(chroot + branch, branch);
+    }
     return done_;
   }
 
  private:
+  /// Makes a node at or above a branch if it is missing, before a process does that is no master.
+  void make(const std::string& full, const std::string& path) {
+    const NodeRights rights(settings_, path, "");
+    const int code = zoo_create(session_.get(), full.c_str(), "", 0, rights.get(), 0, nullptr, 0);
+    if (code != ZNODEEXISTS) must(code, full);
+  }
+
   void walk(const std::string& path, const std::string& creator_above) {
     const std::string full = settings_.url.chroot + path;
     const auto creator = renew(full, path, creator_above);
@@ -121,12 +131,12 @@ class RightsRenewal {
     }
   }
 
-  /// Removes a node below a branch that keeps masters out, or notes that it cannot be. \return false: it is a branch,
-  /// or above them, so this user is none that the fleet knows
+  /// Removes a branch, or a node below one, that keeps masters out, or notes that it cannot be. \return false: it is
+  /// above the branches, so this user is none that the fleet knows
   bool take_away(const std::string& full, const std::string& path) {
     const auto branches = paths_.branches();
     if (std::none_of(branches.begin(), branches.end(),
-                     [&](const auto& branch) { return path.starts_with(branch + "/"); }))
+                     [&](const auto& branch) { return path == branch || path.starts_with(branch + "/"); }))
       return false;
     const int code = zoo_delete(session_.get(), full.c_str(), -1);
     if (code == ZOK) {
@@ -170,8 +180,9 @@ class RightsRenewal {
     if (code == ZNOAUTH) {
       throw config::Error(
           fmt::format("{} does not let this user change its rights: give a master's user and password, "
-                      "one that the node's list has now",
-                      path));
+                      "one that the node's list has now. If somebody else made it before a master came, ZooKeeper's "
+                      "superuser has to remove it (deleteall {})",
+                      path, path));
     }
     throw config::Error(
         fmt::format("the rights of {} cannot be renewed: {}; run it again, what is done stays", path, zerror(code)));

@@ -57,6 +57,7 @@ struct OrderDesk {
   /// Locked shared while orders that make instances run are written, exclusively while gateways are marked as draining.
   /// So either the drain sees the orders, or the orders see the mark.
   config::SharedMutex placing;
+  const discovery::GuardPtr branches = discovery::keep_branches(registry, options.paths);
   Leadership leadership;
   OrderBook book{registry, options.paths, leadership, options.seal, options.is_sealed};
 };

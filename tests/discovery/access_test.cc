@@ -1,4 +1,5 @@
 // Access to the nodes that a process created in ZooKeeper: digest authentication.
+#include <algorithm>
 #include <atomic>
 #include <memory>
 #include <stdexcept>
@@ -6,6 +7,7 @@
 #include <zookeeper/zookeeper.h>
 
 #include <iotcloud/discovery/access.h>
+#include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/tests/discovery/contract_fixture.h>
 #include <iotcloud/tests/discovery/id_literals.h>
@@ -94,6 +96,7 @@ class FleetAccess : public Access {
               {Role::gateway, "g2", "nnalarx0gGsG9ajZ9zmK5cdN9cc="},
               {Role::worker, "workers", "D70c15/9OcCuC92fenWl5kJD72g="}};
     use_all_but("");
+    registry_->get("/");  // has made what is above the fleet's nodes, for everybody
   }
   /// From now on processes start with this list of users.
   void use_all_but(const std::string& name) {
@@ -102,6 +105,17 @@ class FleetAccess : public Access {
     access_ = std::make_shared<const RegistryAccess>(std::move(users), paths_);
   }
   std::unique_ptr<Registry> member(const std::string& user) const { return make_registry(options_of(user)); }
+  /// A master, which has made the branches.
+  std::unique_ptr<Registry> started_master() const {
+    auto registry = member("masters");
+    const auto kept = keep_branches(*registry, paths_);
+    if (!eventually([&] { return has_branches(*registry); })) throw std::runtime_error("the branches are not made");
+    return registry;
+  }
+  bool has_branches(Registry& registry) const {
+    const auto nodes = registry.get_all(paths_.branches());
+    return std::all_of(nodes.begin(), nodes.end(), [](const auto& node) { return node.has_value(); });
+  }
   RegistryOptions options_of(const std::string& user) const {
     RegistryOptions options;
     options.url = place_->url() + "/fleet";
@@ -126,7 +140,7 @@ class FleetAccess : public Access {
 };
 
 TEST_P(FleetAccess, TheThiefOfOneGatewaysCredentialsReachesThatGatewayOnly) {
-  const auto master = member("masters");
+  const auto master = started_master();
   const auto one = member("g1");
   const auto thief = member("g2");
   master->create(paths_.masters() + "/m1", "leads");
@@ -204,7 +218,7 @@ class BareClient {
 };
 
 TEST_P(FleetAccess, TheThiefOfAGatewaySeizesNoNodeOfOthersByTheBareClient) {
-  const auto master = member("masters");
+  const auto master = started_master();
   const auto one = member("g1");
   live(*one, "g1"_gateway, *master);
   live(*member("g2"), "g2"_gateway, *master);
@@ -218,14 +232,79 @@ TEST_P(FleetAccess, TheThiefOfAGatewaySeizesNoNodeOfOthersByTheBareClient) {
   }
   for (const std::string& path :
        {paths_.order("g1"_gateway, "b"_instance), paths_.order("g2"_gateway, "b"_instance), instance + "/arm",
-        paths_.gateway("g1"_gateway) + "/frozen", paths_.masters() + "/m0", paths_.topologies + "/t"}) {
-    EXPECT_NE(thief.create(path), ZOK) << path;
+        paths_.gateway("g1"_gateway) + "/frozen", paths_.masters() + "/m0", paths_.topologies + "/t",
+        paths_.groups + "/t", paths_.pools + "/p1", paths_.submissions + "/t"}) {
+    EXPECT_EQ(thief.create(path), ZNOAUTH) << path;
   }
   EXPECT_EQ(thief.seize(paths_.gateway("g2"_gateway)), ZOK) << "what is its own";
 }
 
-TEST_P(FleetAccess, ANameThatAThiefHasSeizedBeforeAnybodyTookItIsFreeOnceTheRightsAreRenewed) {
+TEST_P(FleetAccess, TheThiefOfAGatewayOrOfAWorkerSeizesNoBranchByTheBareClient) {
+  const auto master = started_master();
+  const std::string above = paths_.sensors.substr(0, paths_.sensors.rfind('/'));
+  for (const std::string& user : {std::string("g2"), std::string("workers")}) {
+    BareClient thief(options_of(user).url, user);
+    for (const std::string& branch : paths_.branches()) {
+      EXPECT_EQ(thief.create(branch), ZNOAUTH) << user << " makes " << branch;
+      EXPECT_EQ(thief.seize(branch), ZNOAUTH) << user << " takes " << branch;
+    }
+    EXPECT_EQ(thief.create(above + "/later"), ZNOAUTH) << "what a later version may need";
+    EXPECT_EQ(thief.seize(above), ZNOAUTH);
+  }
+  Submission submission;
+  submission.name = "t"_topology;
+  put(*master, paths_.submission("t"_topology), encode(submission));
+  EXPECT_EQ(list_topologies(*master, paths_).size(), 1U);
+}
+
+TEST_P(FleetAccess, AGatewayThatComesBeforeTheFirstMasterWaitsForIt) {
+  const auto early = member("g1");
+  EXPECT_EQ(code_of([&] { put(*early, paths_.gateway("g1"_gateway), "record"); }), Code::denied);
+  const std::string above = paths_.sensors.substr(0, paths_.sensors.rfind('/'));
+  EXPECT_EQ(BareClient(options_of("g2").url, "g2").create(above), ZNOAUTH) << "the thief of another";
+  Seen<std::string> registered;
+  const auto alive =
+      early->hold_eventually(paths_.gateway_alive("g1"_gateway), "alive", false, [&](const auto& path) {
+        registered.add(path);
+      });
+  const auto master = started_master();
+  EXPECT_TRUE(registered.wait_for_count(1));
+  put(*early, paths_.gateway("g1"_gateway), "record");
+}
+
+TEST_P(FleetAccess, AMasterMakesTheBranchesAgainWhenTheRegistryWasEmptied) {
   const auto master = member("masters");
+  const auto kept = keep_branches(*master, paths_);
+  ASSERT_TRUE(eventually([&] { return has_branches(*master); }));
+  const auto session = session_of(*master);
+  for (const std::string& branch : paths_.branches()) remove_tree(*master, branch);
+  place_->expire(session);
+  EXPECT_TRUE(eventually([&] { return has_branches(*master); }));
+}
+
+/// The nodes of an earlier version, under which whoever came first made the branches.
+TEST_P(FleetAccess, ABranchThatAThiefHasSeizedIsTakenBackWhenTheRightsAreRenewed) {
+  RegistryOptions open;
+  open.url = options_of("").url;
+  make_registry(open)->create(paths_.sensors, "");
+  BareClient thief(options_of("g2").url, "g2");
+  ASSERT_EQ(thief.create(paths_.submissions), ZOK);
+  ASSERT_EQ(thief.create(paths_.pools), ZOK);
+  ASSERT_EQ(thief.create(paths_.pool(PoolId("p1"))), ZOK);
+  const auto master = member("masters");
+  const auto submit = [&] { put(*master, paths_.submission("t"_topology), "submitted"); };
+  EXPECT_EQ(code_of(submit), Code::denied) << "the attack";
+  EXPECT_EQ(code_of([&] { list_topologies(*master, paths_); }), Code::denied) << "the attack";
+  const auto done = renew_rights(options_of("masters"), paths_);
+  EXPECT_THAT(done.removed, testing::ElementsAre(paths_.submissions));
+  EXPECT_THAT(done.foreign, testing::ElementsAre(paths_.pools)) << "which has a node below";
+  submit();
+  EXPECT_EQ(thief.create(paths_.submissions + "/u"), ZNOAUTH);
+  EXPECT_EQ(thief.seize(paths_.masters()), ZNOAUTH) << "a branch that comes after those, and that nobody had made";
+}
+
+TEST_P(FleetAccess, ANameThatAThiefHasSeizedBeforeAnybodyTookItIsFreeOnceTheRightsAreRenewed) {
+  const auto master = started_master();
   const auto one = member("g1");
   live(*one, "g1"_gateway, *master);
   BareClient thief(options_of("g2").url, "g2");
@@ -233,7 +312,6 @@ TEST_P(FleetAccess, ANameThatAThiefHasSeizedBeforeAnybodyTookItIsFreeOnceTheRigh
   for (const std::string& path : {empty, full, full + "/1", paths_.gateway("g3"_gateway)})
     ASSERT_EQ(thief.create(path), ZOK) << path;
   const std::string pool = paths_.pool(PoolId("p1"));
-  master->create(paths_.pools, "");
   ASSERT_EQ(BareClient(options_of("workers").url, "workers").create(pool), ZOK) << "by the thief of a worker";
   const auto take = [&] { put(*one, paths_.instance("lamp"_driver, "g1"_instance), "record"); };
   EXPECT_EQ(code_of(take), Code::denied) << "the attack";
@@ -245,7 +323,7 @@ TEST_P(FleetAccess, ANameThatAThiefHasSeizedBeforeAnybodyTookItIsFreeOnceTheRigh
 }
 
 TEST_P(FleetAccess, MastersMayDoEverythingAndWorkersTheirTopologiesOnly) {
-  const auto master = member("masters");
+  const auto master = started_master();
   const auto one = member("g1");
   const auto worker = member("workers");
   live(*one, "g1"_gateway, *master);
@@ -288,7 +366,7 @@ TEST_P(FleetAccess, MastersMayDoEverythingAndWorkersTheirTopologiesOnly) {
 }
 
 TEST_P(FleetAccess, WhatTheThiefOfAGatewayStillMayIsWhatSecurityMdSays) {
-  const auto master = member("masters");
+  const auto master = started_master();
   const auto one = member("g1");
   const auto thief = member("g2");
   live(*one, "g1"_gateway, *master);
@@ -302,7 +380,7 @@ TEST_P(FleetAccess, WhatTheThiefOfAGatewayStillMayIsWhatSecurityMdSays) {
 
 TEST_P(FleetAccess, AGatewayThatIsAddedLaterHasItsRightsOnceTheyAreRenewed) {
   use_all_but("g2");
-  auto master = member("masters");
+  auto master = started_master();
   auto one = member("g1");
   live(*one, "g1"_gateway, *master);
   use_all_but("");
@@ -325,7 +403,7 @@ TEST_P(FleetAccess, AGatewayThatIsAddedLaterHasItsRightsOnceTheyAreRenewed) {
 }
 
 TEST_P(FleetAccess, AGatewayThatIsTakenFromTheListHasNoRightsOnceTheyAreRenewed) {
-  auto master = member("masters");
+  auto master = started_master();
   const auto one = member("g1");
   const auto thief = member("g2");
   live(*one, "g1"_gateway, *master);
@@ -343,7 +421,7 @@ TEST_P(FleetAccess, AGatewayThatIsTakenFromTheListHasNoRightsOnceTheyAreRenewed)
 }
 
 TEST_P(FleetAccess, RightsAreRenewedByAMasterWhomTheNodesKnow) {
-  const auto master = member("masters");
+  const auto master = started_master();
   const auto one = member("g1");
   live(*one, "g1"_gateway, *master);
   EXPECT_THROW(renew_rights(options_of("g1"), paths_), config::Error);
