@@ -28,7 +28,7 @@ std::optional<Record> record_of(const std::optional<Node>& node, const std::stri
 /// The paths of all children of each of `parents`, in order.
 std::vector<std::string> below(Registry& registry, const std::vector<std::string>& parents) {
   std::vector<std::string> paths;
-  const auto lists = registry.children_of_all(parents);
+  const auto lists = readable_children(registry, parents);
   for (std::size_t i = 0; i < parents.size(); ++i) {
     for (const std::string& name : lists[i].value_or(std::vector<std::string>())) {
       paths.push_back(child_of(parents[i], name));
@@ -42,7 +42,7 @@ template <typename Record, typename Use>
 void for_each_child(Registry& registry, const std::string& path,
                     Record (*decode)(const std::string&, const std::string&), const Use& use) {
   const auto paths = below(registry, {path});
-  const auto nodes = registry.get_all(paths);
+  const auto nodes = get_readable(registry, paths);
   for (std::size_t i = 0; i < paths.size(); ++i) {
     if (auto record = record_of(nodes[i], paths[i], decode)) use(name_of(paths[i]), std::move(*record));
   }
@@ -79,7 +79,7 @@ void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<D
     place_of[unnamed.back()] = i;
   }
   const auto channels = below(registry, unnamed);
-  const auto nodes = registry.get_all(channels);
+  const auto nodes = get_readable(registry, channels);
   for (std::size_t i = 0; i < channels.size(); ++i) {
     auto channel = record_of(nodes[i], channels[i], decode_channel);
     if (channel) drivers[place_of.at(parent_of(channels[i]))].channels.push_back(std::move(*channel));
@@ -91,7 +91,7 @@ void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<D
 std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths) {
   std::vector<DriverRecord> drivers;
   const auto instances = list_instances(registry, paths);
-  const auto nodes = registry.get_all(instances);
+  const auto nodes = get_readable(registry, instances);
   for (std::size_t i = 0; i < instances.size(); ++i) {
     if (auto driver = driver_of(nodes[i], instances[i])) drivers.push_back(std::move(*driver));
   }
@@ -111,9 +111,9 @@ std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths)
     frozen.push_back(freeze_path(paths, id));
     gateways.push_back(std::move(status));
   });
-  const auto lives = registry.get_all(alive);
-  const auto marks = registry.get_all(draining);
-  const auto freezes = registry.get_all(frozen);
+  const auto lives = get_readable(registry, alive);
+  const auto marks = get_readable(registry, draining);
+  const auto freezes = get_readable(registry, frozen);
   for (std::size_t i = 0; i < gateways.size(); ++i) {
     gateways[i].alive = lives[i].has_value();
     gateways[i].draining = marks[i].has_value();
@@ -127,16 +127,14 @@ std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths)
 std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<GatewayId>& gateways) {
   auto ids = gateways;
   if (ids.empty()) {
-    for (std::string& id : registry.children(paths.gateways).value_or(std::vector<std::string>())) {
-      ids.emplace_back(std::move(id));
-    }
+    for (const std::string& path : below(registry, {paths.gateways})) ids.emplace_back(name_of(path));
   }
   std::vector<std::string> parents;
   parents.reserve(ids.size());
   for (const GatewayId& id : ids) parents.push_back(paths.orders(id));
   std::vector<PlacedOrder> orders;
   const auto places = below(registry, parents);
-  const auto nodes = registry.get_all(places);
+  const auto nodes = get_readable(registry, places);
   for (std::size_t i = 0; i < places.size(); ++i) {
     if (auto order = record_of(nodes[i], places[i], decode_order)) {
       orders.push_back({GatewayId(name_of(parent_of(parent_of(places[i])))), std::move(*order)});
@@ -180,7 +178,7 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
   std::vector<TopologyStatus> topologies;
   std::map<TopologyName, std::optional<Node>> nodes;
   const auto all = below(registry, {paths.topologies});
-  auto found = registry.get_all(all);
+  auto found = get_readable(registry, all);
   for (std::size_t i = 0; i < all.size(); ++i) nodes.emplace(name_of(all[i]), std::move(found[i]));
   for (const auto& [name, submission] : submissions) nodes.try_emplace(name);
   for (const auto& [name, node] : nodes) {
@@ -196,10 +194,10 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
     status.record.name = name;
     status.workers = list_workers(registry, paths, name);
     const std::string path = paths.topology_order(name);
+    const auto order = get_readable(registry, {path}).front();
     try {
-      if (const auto order = registry.get(path)) status.order = decode_topology_order(order->data, path);
+      if (order) status.order = decode_topology_order(order->data, path);
     } catch (const config::Error& error) {
-      if (dynamic_cast<const RegistryError*>(&error) != nullptr) throw;
       listing_logger.warn("skipped: {}", error.what());
     }
     if (submitted != submissions.end()) describe(status, submitted->second.submission, std::move(places[name]));
@@ -211,7 +209,7 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
 std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const TopologyName& topology) {
   std::vector<WorkerRecord> workers;
   const auto members = below(registry, {paths.workers(topology)});
-  const auto nodes = registry.get_all(members);
+  const auto nodes = get_readable(registry, members);
   for (std::size_t i = 0; i < members.size(); ++i) {
     if (!nodes[i]) continue;
     WorkerRecord record;

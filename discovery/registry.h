@@ -177,6 +177,12 @@ RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
 /// at once; the log tells what a master could not make or may not read. \return ends it when it is destroyed
 GuardPtr keep_branches(Registry& registry, const Paths& paths);
 
+/// Like Registry::get_all() and children_of_all(), but what this user may not read counts as absent, and the log names
+/// it: the thief of one process may shut others out of that process's nodes, not keep them from reading the rest.
+std::vector<std::optional<Node>> get_readable(Registry& registry, const std::vector<std::string>& paths);
+std::vector<std::optional<std::vector<std::string>>> readable_children(Registry& registry,
+                                                                       const std::vector<std::string>& paths);
+
 /// Sets a node's data; creates the node and its parents if they are missing.
 void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence = {});
 /// Removes a node and everything below it; missing nodes are no error.

@@ -14,11 +14,11 @@ const config::Logger submissions_logger{"discovery.submissions"};
 /// Calls `use` with the name and node of each child of `parent`, or, with `below`, of that node of each child.
 template <typename Use>
 void for_each_node(Registry& registry, const std::string& parent, const std::string& below, const Use& use) {
-  const auto names = registry.children(parent).value_or(std::vector<std::string>());
+  const auto names = readable_children(registry, {parent}).front().value_or(std::vector<std::string>());
   std::vector<std::string> paths;
   paths.reserve(names.size());
   for (const std::string& name : names) paths.push_back(child_of(parent, name) + below);
-  const auto nodes = registry.get_all(paths);
+  const auto nodes = get_readable(registry, paths);
   for (std::size_t i = 0; i < names.size(); ++i) {
     if (!nodes[i]) continue;
     try {

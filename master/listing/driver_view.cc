@@ -7,8 +7,6 @@ namespace iotcloud::master {
 
 using discovery::DriverRecord;
 using discovery::Node;
-using discovery::RegistryError;
-using discovery::RegistryErrorCode;
 
 DriverView::DriverView(discovery::Registry& registry, const discovery::Paths& paths, Options options)
     : registry_(registry), paths_(paths), options_(options) {}
@@ -45,7 +43,7 @@ std::vector<DriverRecord> DriverView::list() {
       ordered_.clear();
     }
     forget(std::move(all));
-    const auto nodes = registry_.get_all(instances);
+    const auto nodes = discovery::get_readable(registry_, instances);
     for (std::size_t i = 0; i < instances.size(); ++i) {
       if (auto driver = discovery::driver_of(nodes[i], instances[i])) drivers.push_back(std::move(*driver));
     }
@@ -114,15 +112,23 @@ void DriverView::read_ordered(const std::vector<std::string>& instances) {
     }
     ordered_.clear();
   }
-  const auto nodes = registry_.get_all(again);
+  const auto nodes = discovery::get_readable(registry_, again);
   for (std::size_t i = 0; i < again.size(); ++i) take(again[i], nodes[i]);
 }
 
+/// A watch of a node that this user may not read reports nothing, so what is not reported soon is read here.
 void DriverView::wait_until_read() {
-  const config::MutexLock lock(mutex_);
-  const auto all_read = [this]() IOTCLOUD_REQUIRES(mutex_) { return unread_ == 0; };
-  if (all_read_.wait_for(mutex_, options_.first_limit, all_read)) return;
-  throw RegistryError(RegistryErrorCode::away, "the records of all driver instances were not read in time");
+  std::vector<std::string> unread;
+  {
+    const config::MutexLock lock(mutex_);
+    const auto all_read = [this]() IOTCLOUD_REQUIRES(mutex_) { return unread_ == 0; };
+    if (all_read_.wait_for(mutex_, options_.watches_limit, all_read)) return;
+    for (const auto& [path, entry] : entries_) {
+      if (!entry.read) unread.push_back(path);
+    }
+  }
+  const auto nodes = discovery::get_readable(registry_, unread);
+  for (std::size_t i = 0; i < unread.size(); ++i) take(unread[i], nodes[i]);
 }
 
 }  // namespace iotcloud::master

@@ -20,8 +20,9 @@ namespace iotcloud::master {
 class DriverView {
  public:
   struct Options {
-    std::size_t few = 256;                          ///< up to this number of instances each list() reads all records
-    std::chrono::milliseconds first_limit{10'000};  ///< time limit of the first list() when instances are many
+    std::size_t few = 256;  ///< up to this number of instances each list() reads all records
+    /// How long list() waits for watches of new instances before it reads those that have not reported.
+    std::chrono::milliseconds watches_limit{1'000};
   };
   /// The references outlive the view.
   DriverView(discovery::Registry& registry, const discovery::Paths& paths, Options options);

@@ -1,3 +1,10 @@
+#include <algorithm>
+#include <functional>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -5,6 +12,7 @@
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/master/listing/driver_view.h>
 #include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/discovery/passing_registry.h>
 #include <iotcloud/tests/master/fleet.h>
 
 namespace iotcloud::master {
@@ -83,6 +91,39 @@ TEST_F(ManyDrivers, ThatWereOrderedAreReadAnew) {
     put("a", state);
     view.ordered("a"_instance);
     ASSERT_EQ(view.list().at(0).state, state) << "what a master has seen done is in the list";
+  }
+}
+
+/// A registry in which one node keeps this user out: it cannot be read, and a watch of it reports nothing.
+class RegistryWithAShutNode final : public iotcloud::tests::PassingRegistry {
+ public:
+  RegistryWithAShutNode(std::unique_ptr<discovery::Registry> registry, std::string path)
+      : PassingRegistry(std::move(registry)), path_(std::move(path)) {}
+
+  std::vector<std::optional<Node>> get_all(const Names& paths) override {
+    if (std::find(paths.begin(), paths.end(), path_) == paths.end()) return PassingRegistry::get_all(paths);
+    throw discovery::RegistryError(discovery::RegistryErrorCode::denied, path_ + ": it belongs to another user");
+  }
+  discovery::GuardPtr watch_node(const std::string& path,
+                                 std::function<void(const std::optional<Node>&)> callback) override {
+    return path == path_ ? nullptr : PassingRegistry::watch_node(path, std::move(callback));
+  }
+
+ private:
+  const std::string path_;
+};
+
+TEST_F(ManyDrivers, AreListedWithoutOneThatKeepsMastersOut) {
+  put("a", DriverState::active);
+  put("b", DriverState::active);
+  put("c", DriverState::active);
+  RegistryWithAShutNode shut(test::open_registry(url), paths.instance("turtle"_driver, "b"_instance));
+  for (const std::size_t few : {0, 256}) {
+    DriverView others(shut, paths, {few, std::chrono::milliseconds{1}});
+    const auto listed = others.list();
+    ASSERT_THAT(listed, SizeIs(2)) << few;
+    EXPECT_EQ(listed[0].instance, "a"_instance);
+    EXPECT_EQ(listed[1].instance, "c"_instance);
   }
 }
 
