@@ -304,8 +304,9 @@ def make_secrets(docker):
         return done.stdout.strip()
 
     iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, *POOLS, "registry-tls", "rabbitmq", "prometheus"]))
-    write_secret(fresh, "admin.token",  # a person's
-                 iotcloud("token", "add", "admin", "--role", "admin", "--file", "/secrets/masters.tokens"))
+    write_secret(fresh, "admin.token",  # a person's, of no use to whoever catches it in a master's place
+                 iotcloud("token", "add", "admin", "--role", "admin", "--certificate", "/secrets/operator.pem",
+                          "--file", "/secrets/masters.tokens"))
     for master in MASTERS:
         for asked in GATEWAYS + POOLS:
             write_secret(fresh, f"{master}-{asked}.token",

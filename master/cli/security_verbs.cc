@@ -122,8 +122,8 @@ class Certs final : public Verb {
         "  tls: {{ca: {1}/ca.pem, certificate: {1}/{2}.pem, key: {1}/{2}.key}}\n"
         "  tokens: {1}/tokens\n",
         host, folder, servers.empty() ? host : servers.front());
-    call.out << fmt::format("Then:\n  iotcloud token add NAME --role admin --file {}/tokens\n", folder);
     call.out << fmt::format(
+        "Then:\n  iotcloud token add NAME --role admin --certificate {1}/{2}.pem --file {1}/tokens\n"
         "  iotcloud --master {0}:12904 --ca {1}/ca.pem --certificate {1}/{2}.pem --key {1}/{2}.key "
         "--token-file FILE status\n",
         host, folder, callers.empty() ? usual_caller : callers.front());
@@ -219,7 +219,7 @@ class AddToken final : public OfTokens {
   AddToken()
       : OfTokens(
             {"add", "Make a token and print it: it is shown this once, and only its hash is kept",
-             "iotcloud token add anna --role operator --file tokens > anna.token\n"
+             "iotcloud token add anna --role operator --certificate operator.pem --file tokens > anna.token\n"
              "  iotcloud token add master --role master --certificate master.pem --file gateway.tokens > lab1.token",
              std::nullopt, false}) {}
   void declare(CLI::App& options) override {
@@ -234,7 +234,8 @@ class AddToken final : public OfTokens {
     options
         .add_option("--certificate", certificate_,
                     "the token counts only with this certificate: its file (NAME.pem), or its common name. For "
-                    "daemons; a person's token may come from a browser")
+                    "daemons, and for people who show it from one machine: who catches it in a master's place then "
+                    "has no use of it")
         ->type_name("CERTIFICATE");
     options.add_option("--days", days_, "after so many days it is worth nothing; without it the token has no end")
         ->check(CLI::Range(1, 3650))

@@ -166,7 +166,13 @@ def check_stolen(machine, here, at_broker, on_lab1):
     open_tunnel.sendall(HELLO_REGISTRY)
     require(open_tunnel.recv(100) and machine.reaches_registry(), "the attack: the thief is at the registry")
     as_thief = [str(word).replace("operator.", "lab2-gateway.") for word in machine.command("gateways")]
-    require(subprocess.run(as_thief, capture_output=True, timeout=60).returncode == 0, "the attack: with a person's token, too")
+
+    def refusal():
+        done = subprocess.run(as_thief, capture_output=True, text=True, timeout=60, check=False)
+        require(done.returncode != 0, "a person's token counts with the thief's certificate")
+        return done.stderr
+
+    require("nobody's token" in refusal(), f"the attack: the master speaks with the thief, and takes no caught token: {refusal()}")
     before = machine.inside("cat", f"{ETC}/registry.users").stdout
     require("gateway gateway-2:" in before, before)
 
@@ -187,7 +193,7 @@ def check_stolen(machine, here, at_broker, on_lab1):
         require(not open_api.recv(100), "the master answers the thief")
     except OSError:
         pass  # it is cut, as wanted
-    wait_for("the master refuses the certificate", lambda: subprocess.run(as_thief, capture_output=True, timeout=60).returncode != 0)
+    wait_for("the master refuses the certificate", lambda: "no master answers" in refusal())
 
     script = fleet.replaced(on_lab1, {"zookeeper://127.0.0.1:2181": f"zookeeper://127.0.0.1:{machine.tunnel_port}"})
     done = machine.inside("sh", "-e", "-c", f"PATH={machine.bin}:$PATH\n{script}")

@@ -70,6 +70,14 @@ def rights(told):
     return users, with_password
 
 
+def check_tokens(folder):
+    """Each token counts with one certificate: whoever catches it has no use of it."""
+    for file in ("master-tokens", "gateway-tokens", "page-tokens"):
+        for line in (folder / "etc" / file).read_text(encoding="utf-8").splitlines():
+            if line and not line.startswith("#") and "CN=" not in line:
+                sys.exit(f"{file} has a token that counts with any certificate: {line.split()[0]}")
+
+
 def check_brokers_users(folder):
     cluster.GATEWAYS = ["gateway-[0-9]+"]  # the page's rights of workers are for gateways that have such ids
     expected = {**cluster.rights_of_gateway("gateway-1"), "workers": cluster.rights_of_workers()}
@@ -100,6 +108,7 @@ def main():
         folder = pathlib.Path(work)
         fleet.make(deploy, build / "bin", build / "plugins/loadgen.so", folder)
         check_certificates(deploy)
+        check_tokens(folder)
         check_brokers_users(folder)
         check_further_machine(build, folder)
         for name, keys in KEYS.items():

@@ -297,6 +297,48 @@ TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
   service->stop(std::chrono::seconds(5));
 }
 
+TEST_F(CliSecurity, ATokenThatAFalseMasterHasCaughtIsOfNoUseWithoutThePersonsCertificate) {
+  const security::test::Certificates certificates;
+  const auto& authority = certificates.authority();
+  authority.certify_daemon("lab1-gateway", {"lab1", "localhost"}, {"gateway-1"});
+  MasterDaemonConfig config;
+  config.registry.url = "embedded://cli-caught-" + std::to_string(getpid());
+  config.sensors_root = "/iot/sensors";
+  config.api = {"0.0.0.0", tests::free_port(), certificates.of("lab1"), folder_ / "tokens", "localhost:1"};
+  const auto add = [&](const std::string& name, std::vector<std::string> more) {
+    std::vector<std::string> words{"token", "add", name, "--role", "admin", "--file", folder_ / "tokens"};
+    words.insert(words.end(), more.begin(), more.end());
+    const auto done = run(words);
+    EXPECT_EQ(done.status, 0) << done.err;
+    return done.out.substr(0, done.out.find('\n'));
+  };
+  const auto bound = add("anna", {"--certificate", authority.certificate("operator")});
+  const auto unbound = add("otto", {});
+  auto service = make_master_service(config);
+  service->start();
+  // On the master's machine, in its place, with what the thief of its gateway has.
+  const auto caught = std::make_shared<PlayedMaster>();
+  const auto false_master = serve_played(caught, certificates.of("lab1-gateway"));
+  const auto ask = [&](int port, const std::string& certificate, const std::string& token) {
+    const auto own = certificates.of(certificate);
+    std::ofstream(folder_ / "shown.token") << token << "\n";
+    return run({"--master", "localhost:" + std::to_string(port), "--ca", own.ca, "--certificate", own.certificate,
+                "--key", own.key, "--token-file", folder_ / "shown.token", "gateways"});
+  };
+  for (const auto& token : {bound, unbound}) {
+    ask(false_master->port(), "operator", token);
+    EXPECT_EQ(caught->token(), token) << "the attack";
+    const auto person = ask(config.api.port, "operator", token);
+    EXPECT_EQ(person.status, 0) << person.err;
+  }
+  EXPECT_EQ(ask(config.api.port, "lab1-gateway", unbound).status, 0)
+      << "what a token without a certificate is good for";
+  const auto thief = ask(config.api.port, "lab1-gateway", bound);
+  EXPECT_EQ(thief.status, 1);
+  EXPECT_THAT(thief.err, HasSubstr("token"));
+  service->stop(std::chrono::seconds(5));
+}
+
 TEST_F(CliSecurity, NoTokenIsSentInClearToAnotherMachine) {
   RecordingListener stranger;
   const std::string token = folder_ / "anna.token";
