@@ -7,6 +7,7 @@
 #include "iotcloud/master/TMasterAPIService.h"
 #include "iotcloud/master/TMasterService.h"
 #include "iotcloud/tests/fuzz/seeds.h"
+#include "iotcloud/topology/pool/TPoolService.h"
 
 namespace iotcloud::fuzz {
 
@@ -243,6 +244,25 @@ struct AnsweringMaster : master::wire::TMasterAPIServiceNull {
   }
 };
 
+struct AnsweringPool : topology::wire::TPoolServiceNull {
+  void ping(topology::wire::TPoolPing& answer) override { answer.__set_pool("pool1"); }
+  void readLog(topology::wire::TWorkerLogPart& answer, const std::string&, const std::int32_t, const std::string&,
+               const std::int32_t) override {
+    answer.__set_text("a line\n");
+    answer.__set_position("1:9");
+  }
+  void offerLibrary(std::string&, const topology::wire::TLibraryOffer&) override {
+    topology::wire::TPoolError error;
+    error.__set_reason("no");
+    throw error;
+  }
+  void describeLibrary(topology::wire::TKeptLibrary& answer, const std::string&) override {
+    answer.__set_size(5);
+    answer.__set_signature(std::string(64, 's'));
+  }
+  void readLibrary(std::string& answer, const std::string&, const std::int64_t) override { answer = "bytes"; }
+};
+
 /// The first byte chooses the call that the rest answers (thrift_answers_fuzzer.cc).
 SeedsOfTarget answer_seeds() {
   using Site = gateway::wire::TSensorSiteServiceClient;
@@ -252,6 +272,10 @@ SeedsOfTarget answer_seeds() {
   };
   const auto of_master = [](char call, const auto& calls) {
     return call + answered<Api, master::wire::TMasterAPIServiceProcessor, AnsweringMaster>(calls);
+  };
+  using Pool = topology::wire::TPoolServiceClient;
+  const auto of_pool = [](char call, const auto& calls) {
+    return call + answered<Pool, topology::wire::TPoolServiceProcessor, AnsweringPool>(calls);
   };
   SeedsOfTarget seeds;
   seeds["ping"] = of_site('\0', [](Site& site) { site.send_ping(); });
@@ -264,6 +288,12 @@ SeedsOfTarget answer_seeds() {
   seeds["status"] = of_master('\7', [](Api& api) { api.send_getStatus(); });
   seeds["history"] = of_master('\x8', [](Api& api) { api.send_getHistory({"0a"}, {"lab1"}, 5); });
   seeds["gateways_plugins"] = of_master('\x9', [](Api& api) { api.send_listPlugins({}); });
+  seeds["pool_ping"] = of_pool('\xa', [](Pool& pool) { pool.send_ping(); });
+  seeds["pool_log"] = of_pool('\xb', [](Pool& pool) { pool.send_readLog("echo", 0, "", 9); });
+  seeds["pool_error"] =
+      of_pool('\xc', [](Pool& pool) { pool.send_offerLibrary(offer<topology::wire::TLibraryOffer>()); });
+  seeds["pool_kept"] = of_pool('\xd', [](Pool& pool) { pool.send_describeLibrary(sha256_of_bytes); });
+  seeds["pool_piece"] = of_pool('\xe', [](Pool& pool) { pool.send_readLibrary(sha256_of_bytes, 0); });
   seeds["unknown"] = of_site('\x7', [](Site& site) { site.send_ping(); });
   // A list as long as the field can say, of structs: each may be one byte.
   std::string endless = seeds["changes"];
@@ -307,6 +337,37 @@ SeedsOfTarget site_seeds() {
   return seeds;
 }
 
+SeedsOfTarget pool_seeds() {
+  SeedsOfTarget seeds;
+  using Client = topology::wire::TPoolServiceClient;
+  const auto library = offer<topology::wire::TLibraryOffer>();
+  seeds["reads"] = sent<Client>([](Client& client) {
+    client.send_authenticate("token");
+    client.send_ping();
+    client.send_readLog("echo", 0, "", 100);
+    client.send_readLog("echo", 0, "1:2", 100);
+    client.send_readLog("../echo", -1, "1:2", -1);
+  });
+  seeds["library"] = sent<Client>([&](Client& client) {
+    client.send_offerLibrary(library);
+    client.send_sendLibrary("0", 0, "by");
+    client.send_sendLibrary("0", 2, "tes");
+    client.send_finishLibrary("0");
+    client.send_offerLibrary(library);
+    client.send_describeLibrary(sha256_of_bytes);
+    client.send_readLibrary(sha256_of_bytes, 2);
+    client.send_readLibrary(sha256_of_bytes, 6);
+  });
+  seeds["libraries"] = sent<Client>([&](Client& client) {
+    client.send_offerLibrary(library);
+    client.send_offerLibrary(library);
+    client.send_sendLibrary("1", 0, "bytes");
+    client.send_finishLibrary("0");
+    client.send_finishLibrary("1");
+  });
+  return seeds;
+}
+
 SeedsOfTarget manifest_seeds() {
   SeedsOfTarget seeds;
   seeds["empty"] = "fleet: lab\ndeployments: {}\n";
@@ -337,6 +398,7 @@ void add_control_plane_seeds(Seeds& seeds) {
   seeds["master_api"] = api_seeds();
   seeds["master_gateways"] = gateway_seeds();
   seeds["gateway_site"] = site_seeds();
+  seeds["pool_service"] = pool_seeds();
   seeds["thrift_answers"] = answer_seeds();
   seeds["manifest"] = manifest_seeds();
 }

@@ -1,5 +1,5 @@
-// What anybody may answer to a call of ours: a false gateway to a master, a false master to the command line. The first
-// byte chooses the call, the rest are the bytes of the connection.
+// What anybody may answer to a call of ours: a false gateway or pool to a master, a false master to the command line.
+// The first byte chooses the call, the rest are the bytes of the connection.
 #include <array>
 #include <functional>
 #include <string>
@@ -16,10 +16,12 @@
 #include "iotcloud/tests/fuzz/answering_server.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 #include "iotcloud/tests/fuzz/fuzz_target.h"
+#include "iotcloud/topology/pool/TPoolService.h"
 
 using namespace iotcloud;
 using Site = gateway::wire::TSensorSiteServiceClient;
 using Api = master::wire::TMasterAPIServiceClient;
+using Workers = topology::wire::TPoolServiceClient;
 
 namespace {
 
@@ -71,6 +73,26 @@ const std::array calls = {
       master::wire::TGatewayPlugins plugins;
       Api(to).listPlugins(plugins, {});
       discovery::as_own<master::GatewayPlugins>(plugins);
+    }),
+    std::function([](const Protocol& to) {
+      topology::wire::TPoolPing ping;
+      Workers(to).ping(ping);
+    }),
+    std::function([](const Protocol& to) {
+      topology::wire::TWorkerLogPart part;
+      Workers(to).readLog(part, "echo", 0, "1:2", 100);
+    }),
+    std::function([](const Protocol& to) {
+      std::string upload;
+      Workers(to).offerLibrary(upload, {});
+    }),
+    std::function([](const Protocol& to) {
+      topology::wire::TKeptLibrary kept;
+      Workers(to).describeLibrary(kept, "00");
+    }),
+    std::function([](const Protocol& to) {
+      std::string piece;
+      Workers(to).readLibrary(piece, "00", 0);
     }),
 };
 

@@ -152,6 +152,11 @@ const rpc::MethodRules& PoolService::rules() {
   return rules;
 }
 
+std::shared_ptr<apache::thrift::TProcessor> PoolService::processor(const Options& options,
+                                                                   std::shared_ptr<rpc::CallerSession> session) {
+  return std::make_shared<wire::TPoolServiceProcessor>(std::make_shared<PoolHandler>(options, std::move(session)));
+}
+
 namespace {
 
 rpc::GuardedService::Options guarding(const PoolService::Options& options) {
@@ -166,8 +171,6 @@ rpc::GuardedService::Options guarding(const PoolService::Options& options) {
 }  // namespace
 
 PoolService::PoolService(const Options& options)
-    : service_(guarding(options), [options](auto session) {
-        return std::make_shared<wire::TPoolServiceProcessor>(std::make_shared<PoolHandler>(options, session));
-      }) {}
+    : service_(guarding(options), [options](auto session) { return processor(options, std::move(session)); }) {}
 
 }  // namespace iotcloud::topology

@@ -4,6 +4,8 @@
 #include <memory>
 #include <string>
 
+#include <thrift/TProcessor.h>
+
 #include <iotcloud/discovery/ids.h>
 #include <iotcloud/processes/plugin_store.h>
 #include <iotcloud/rpc/guarded_service.h>
@@ -25,6 +27,10 @@ class PoolService {
 
   /// The role that each method requires of its caller. Nobody may call a method that is not listed.
   static const rpc::MethodRules& rules();
+
+  /// Answers one connection's calls, for servers and tests. \param options outlives it
+  static std::shared_ptr<apache::thrift::TProcessor> processor(const Options& options,
+                                                               std::shared_ptr<rpc::CallerSession> session);
 
   /// Serves from construction on. \throws config::Error if it cannot listen, or if other machines could send libraries
   /// without TLS and tokens.
