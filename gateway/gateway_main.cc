@@ -55,7 +55,7 @@ class GatewayDaemon final : public config::DaemonService {
     }
     std::map<std::string, std::string> certificates;
     for (const auto& broker : config_.gateway.brokers) certificates[broker.name] = broker.options.tls.certificate_file;
-    certificate_days_.emplace(std::move(certificates), config::process_metrics());
+    certificate_days_.emplace(security::certificates_for_brokers(certificates), config::process_metrics());
     registry_ = discovery::make_registry(config_.registry);
     auto options = config_.gateway;
     options.registry = registry_.get();

@@ -13,12 +13,20 @@ std::string token_in(std::string_view authorization) {
   return authorization.starts_with(scheme) ? std::string(authorization.substr(scheme.size())) : std::string();
 }
 
+/// The certificates that the pages do not show, and whose days left are shown on one of them.
+std::vector<std::string> watched(const PageSettings& settings) {
+  auto files = settings.certificates;
+  if (!settings.tls.ca.empty()) files.push_back(settings.tls.ca);
+  return files;
+}
+
 }  // namespace
 
 PageGuard::PageGuard(PageSettings settings, const config::Clock& clock)
     : settings_(std::move(settings)),
       tries_(usual_token_tries(std::chrono::milliseconds{0}), clock),
-      tls_("pages", settings_.tls) {
+      tls_("pages", settings_.tls),
+      days_(security::certificates_in(watched(settings_)), config::process_metrics()) {
   if (const std::string problem = exposure(settings_); !problem.empty()) throw config::Error(problem);
   if (!settings_.tokens.empty()) tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens, "pages", clock);
 }

@@ -8,6 +8,7 @@
 
 #include <iotcloud/rpc/call_limits.h>
 #include <iotcloud/rpc/http/page_settings.h>
+#include <iotcloud/security/certificate_days.h>
 #include <iotcloud/security/server_tls.h>
 #include <iotcloud/security/tokens.h>
 
@@ -39,6 +40,7 @@ class PageGuard {
   /// The pages have one thread, so a try does not wait for its turn.
   mutable CallLimits tries_;
   security::ServerTls tls_;
+  security::CertificateDays days_;
 };
 
 }  // namespace iotcloud::rpc

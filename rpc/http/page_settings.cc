@@ -1,3 +1,5 @@
+#include <filesystem>
+
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/rpc/http/http_address.h>
@@ -36,6 +38,14 @@ PageSettings read_page_settings(config::YamlSection& file) {
     } catch (const config::Error& e) {
       section->refuse("tokens", e.what(), "`iotcloud token add NAME --role viewer --file FILE` makes one");
     }
+  }
+  settings.certificates = section->strings_or("certificates", {});
+  for (const auto& certificate : settings.certificates) {
+    if (!std::filesystem::exists(certificate))
+      section->refuse(
+          "certificates", "the file \"" + certificate + "\" is not there",
+          "certificates whose days left /metrics is to show; this daemon's own and its authority's it shows "
+          "anyhow");
   }
   section->finish();
   return settings;

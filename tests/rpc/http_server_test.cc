@@ -454,6 +454,21 @@ TEST_F(GuardedPages, ShowARenewedCertificateByThemselvesAndKeepTheOldOneWhileThe
   EXPECT_TRUE(early.reads_the_page());
 }
 
+TEST_F(GuardedPages, ShowTheDaysLeftOfTheirAuthorityAndOfOtherFilesThatAreNamed) {
+  security::renew_certificate(certificates_.authority(), "operator", 3);
+  auto settings = settings_;
+  settings.certificates = {certificates_.of("operator").certificate};
+  const tests::CapturedLog log;
+  const HttpServer server(settings, {{"/metrics", metrics_page(config::process_metrics())}});
+  const auto page = http_get("localhost" + server.address().substr(server.address().rfind(':')), "/metrics",
+                             {certificates_.of("operator"), token_});
+  const auto line = [](const std::string& file, const std::string& days) {
+    return "iotcloud_certificate_days_left{file=\"" + file + "\",service=\"file\"} " + days;
+  };
+  EXPECT_THAT(page, AllOf(HasSubstr(line(settings.certificates[0], "2")), HasSubstr(line(settings.tls.ca, "3"))));
+  EXPECT_TRUE(log.contains(settings.certificates[0] + " expires in 2 days"));
+}
+
 TEST_F(GuardedPages, AreAskedForByTlsOnlyWhenTheyAreOnAnotherMachine) {
   EXPECT_THROW(http_get("192.0.2.1:9405", "/p"), HttpError);
   const HttpServer server(settings_, pages_);
@@ -498,6 +513,8 @@ TEST(PageSettings, AreReadWithFileLineAndRemedy) {
   EXPECT_THAT(error_of("\nmetrics: {address: \"0.0.0.0:9405\"}"),
               AllOf(StartsWith("d.yaml:2:"), HasSubstr("metrics.address"), HasSubstr("TLS and tokens"),
                     HasSubstr("iotcloud certs init"), HasSubstr("127.0.0.1")));
+  EXPECT_THAT(error_of("metrics: {address: \"127.0.0.1:9405\", certificates: [/nonexistent/tunnel.pem]}"),
+              AllOf(HasSubstr("metrics.certificates"), HasSubstr("tunnel.pem\" is not there")));
   EXPECT_THAT(error_of("metrics: {address: \"127.0.0.1:9405\", tokens: /nonexistent/tokens}"),
               AllOf(HasSubstr("metrics.tokens"), HasSubstr("iotcloud token add")));
 }

@@ -33,7 +33,7 @@ TEST(CertificateDays, AreThoseOfTheFileAsItIsNowAndFewAreWarnedOfOnce) {
   const std::string file = own.of("operator").certificate;
   config::Metrics metrics;
   const tests::CapturedLog log;
-  const CertificateDays days({{"kafka", file}, {"rabbitmq", ""}}, metrics);
+  const CertificateDays days(certificates_for_brokers({{"kafka", file}, {"rabbitmq", ""}}), metrics);
   EXPECT_GT(days_of(metrics, "kafka"), 700);
   EXPECT_EQ(days_of(metrics, "rabbitmq"), std::nullopt);
   EXPECT_THAT(log.text(), IsEmpty());
@@ -60,7 +60,7 @@ TEST(CertificateDays, FewAreWarnedOfAtTheStart) {
   renew_certificate(own.authority(), "operator", 3);
   config::Metrics metrics;
   const tests::CapturedLog log;
-  const CertificateDays days({{"kafka", own.of("operator").certificate}}, metrics);
+  const CertificateDays days(certificates_for_brokers({{"kafka", own.of("operator").certificate}}), metrics);
   EXPECT_THAT(log.text(), HasSubstr("expires in"));
 }
 

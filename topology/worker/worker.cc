@@ -63,7 +63,7 @@ struct Worker::Impl {
                   config::Labels{{"topology", services->topology.str()}});
     std::map<std::string, std::string> certificates;
     for (const auto& [name, broker] : definition.brokers) certificates[name] = broker.tls.certificate_file;
-    certificate_days.emplace(std::move(certificates), *services->metrics);
+    certificate_days.emplace(security::certificates_for_brokers(certificates), *services->metrics);
     if (!definition.order_keys.empty()) trust_masters(definition);
     topology = assemble(definition, options.components, endpoint_factories(services));
     services->keepers = keepers_by_spout(topology);
