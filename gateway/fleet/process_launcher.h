@@ -13,10 +13,10 @@
 #include <iotcloud/gateway/fleet/host_proofs.h>
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/plugin_source.h>
-#include <iotcloud/gateway/fleet/plugin_versions.h>
 #include <iotcloud/processes/child_account.h>
 #include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/confinement.h>
+#include <iotcloud/processes/plugin_versions.h>
 #include <iotcloud/processes/process_settings.h>
 #include <iotcloud/processes/vitals.h>
 
@@ -35,8 +35,8 @@ class ProcessLauncher final : public HostLauncher {
     std::shared_ptr<processes::PluginStore> store;       ///< the uploaded plugins; null: there are none
     std::shared_ptr<const security::TrustedKeys> trust;  ///< null: no signature is required
     bool trust_folder = false;                           ///< as in PluginSource()
-    std::vector<std::string> allow_rollback;             ///< as in PluginVersions::Options
-    bool require_version = false;                        ///< as in PluginVersions::Options
+    std::vector<std::string> allow_rollback;             ///< as in processes::PluginVersions
+    bool require_version = false;                        ///< as in processes::PluginVersions
     std::string state_dir;                               ///< the path of a locked StateFolder
     std::string host_program;  ///< empty: iotcloud-driver-host beside this process's own program
     std::chrono::milliseconds ping_period{1000};
@@ -85,7 +85,7 @@ class ProcessLauncher final : public HostLauncher {
   std::shared_ptr<const processes::ProcessStarter> starter_;  ///< null: this process starts hosts itself
   std::shared_ptr<const processes::ChildAccount> account_;    ///< null: hosts run under this process's account
   PluginSource source_;
-  PluginVersions versions_;
+  processes::PluginVersions versions_;
   const HostProofs proofs_;
 };
 

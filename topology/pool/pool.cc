@@ -158,7 +158,8 @@ void Pool::follow(const PlaceId& place, const discovery::PoolId* whose) {
   }
   if (!is_mine) return;  // no pool can run what is wanted now: what runs goes on
   claim(place);
-  if (claims_.at(place).held) fleet_.run({place, submission.version_of(place.number)});
+  const auto& version = submission.version_of(place.number);
+  if (claims_.at(place).held) fleet_.run({place, version, version.number < submission.last_number});
 }
 
 std::string Pool::holder() const {

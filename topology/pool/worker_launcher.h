@@ -16,6 +16,8 @@ namespace iotcloud::topology {
 struct WorkerOrder {
   discovery::PlaceId place;
   discovery::TopologyVersion version;
+  /// The topology had a later version: an update is under way, failed, or was rolled back.
+  bool goes_back = false;
 };
 
 /// How a worker ended.

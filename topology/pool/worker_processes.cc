@@ -12,6 +12,7 @@
 #include <iotcloud/processes/durable_file.h>
 #include <iotcloud/processes/random_name.h>
 #include <iotcloud/processes/unix_socket.h>
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/sha256.h>
 #include <iotcloud/topology/pool/logger.h>
 #include <iotcloud/topology/pool/process_link.h>
@@ -45,14 +46,22 @@ WorkerProcesses::WorkerProcesses(Options options)
       }()) {
   make_folder(options_.state_dir + "/workers");
   make_folder(options_.state_dir + "/logs");
+  if (!options_.require_version) return;
+  processes::PluginVersions::Options versions;
+  versions.file = options_.state_dir + "/library-versions";
+  versions.allow_rollback = options_.allow_rollback;
+  versions.require_version = true;
+  versions.keys = "libraries";
+  versions_.emplace(std::move(versions));
 }
 
 std::string WorkerProcesses::log_of(const std::string& state_folder, const discovery::PlaceId& place) {
   return fmt::format("{}/{}.log", log_folder(state_folder, place.topology), place.number);
 }
 
-/// The path of a library in the store, whose bytes are those of the order and, if that is required, signed.
-std::string WorkerProcesses::checked_library(const discovery::SentLibrary& library) const {
+/// The path of a library in the store, whose bytes are those of the order and, if that is required, signed, with a
+/// version that may run.
+std::string WorkerProcesses::checked_library(const discovery::SentLibrary& library, bool goes_back) {
   const auto path = options_.store->path_of(library.sha256);
   if (!path)
     throw config::Error(fmt::format("the component library {} (SHA-256 {}) is not in this pool", library.file,
@@ -63,7 +72,9 @@ std::string WorkerProcesses::checked_library(const discovery::SentLibrary& libra
   const std::string signature_path = options_.store->signature_path_of(library.sha256);
   const std::string signature = fs::exists(signature_path) ? processes::read_file(signature_path, 0) : "";
   try {
-    options_.trust->admit(library.file, content, signature);
+    const std::string signer = options_.trust->admit(library.file, content, signature);
+    if (versions_ && !signer.empty() && !goes_back)
+      versions_->admit(library.file, security::parse_plugin_signature(signature), false);
   } catch (const config::Error& error) {
     throw WorkerRefused(error.what());
   }
@@ -92,7 +103,8 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
   spec.topology = order.place.topology;
   spec.place = order.place.number;
   spec.version = order.version.number;
-  for (const auto& library : order.version.libraries) spec.libraries[library.name] = checked_library(library);
+  for (const auto& library : order.version.libraries)
+    spec.libraries[library.name] = checked_library(library, order.goes_back);
   spec.log = log_of(options_.state_dir, order.place);
   spec.log_limit_mb = options_.log_limit_mb;
   spec.logs_kept = options_.logs_kept;

@@ -2,11 +2,13 @@
 
 #include <chrono>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/plugin_store.h>
+#include <iotcloud/processes/plugin_versions.h>
 #include <iotcloud/processes/process_settings.h>
 #include <iotcloud/processes/vitals.h>
 #include <iotcloud/security/trusted_keys.h>
@@ -25,7 +27,11 @@ class WorkerProcesses final : public WorkerLauncher {
     std::string state_dir;                               ///< the path of a locked StateFolder
     std::shared_ptr<processes::PluginStore> store;       ///< the component libraries that were sent; not null
     std::shared_ptr<const security::TrustedKeys> trust;  ///< of those who may sign libraries; not null
-    std::string program;                                 ///< empty: this process's own program
+    /// A signed library runs only with a version, and not with an older one than ran here, unless its topology goes
+    /// back to it (WorkerOrder::goes_back), or is named in `allow_rollback`.
+    bool require_version = false;
+    std::vector<std::string> allow_rollback;  ///< names by which libraries were signed
+    std::string program;                      ///< empty: this process's own program
     std::chrono::milliseconds ping_period{1000};
     std::chrono::milliseconds hang_limit{10000};  ///< a worker that has not answered for this long hangs
     /// A worker in which a call of a component has not returned for this long hangs; 0: no limit.
@@ -53,10 +59,11 @@ class WorkerProcesses final : public WorkerLauncher {
   std::unique_ptr<WorkerLink> link(const std::string& folder, processes::ChildProcess process,
                                    WorkerEvents events) const;
   pooled::WorkerConfinement confinement_in(const std::string& folder, const discovery::TopologyName& topology) const;
-  std::string checked_library(const discovery::SentLibrary& library) const;
+  std::string checked_library(const discovery::SentLibrary& library, bool goes_back);
   std::optional<RunningWorker> examine(const std::string& name) const;
 
   const Options options_;
+  std::optional<processes::PluginVersions> versions_;  ///< nullopt: they are not looked at
 };
 
 }  // namespace iotcloud::topology

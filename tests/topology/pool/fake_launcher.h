@@ -24,6 +24,7 @@ class FakeLauncher final : public WorkerLauncher {
     WorkerEvents events;
     bool told_to_stop = false;
     std::chrono::milliseconds stop_limit{0};  ///< the latest
+    bool goes_back = false;
     void run() const { events.on_report({true, "w"}); }
     void end(WorkerEnding::How how, const std::string& reason = "") const { events.on_ended({how, reason}); }
   };
@@ -33,6 +34,7 @@ class FakeLauncher final : public WorkerLauncher {
     if (!refusal_.empty()) throw WorkerRefused(refusal_);
     if (!shortage_.empty()) throw config::Error(shortage_);
     auto worker = add({order.place, order.version.number, std::move(events)});
+    worker->goes_back = order.goes_back;
     if (runs_at_once_) worker->run();
     return std::make_unique<Link>(*this, worker);
   }
@@ -64,12 +66,12 @@ class FakeLauncher final : public WorkerLauncher {
     const std::lock_guard lock(mutex_);
     return workers_;
   }
-  /// "TOPOLOGY/PLACE vVERSION" of each of them, sorted.
+  /// "TOPOLOGY/PLACE vVERSION" of each of them, sorted; one that was started to go back has " again" behind it.
   std::vector<std::string> running_versions() const {
     std::vector<std::string> names;
     for (const auto& worker : workers()) {
       names.push_back(worker->place.topology.str() + "/" + std::to_string(worker->place.number) + " v" +
-                      std::to_string(worker->version));
+                      std::to_string(worker->version) + (worker->goes_back ? " again" : ""));
     }
     std::sort(names.begin(), names.end());
     return names;

@@ -79,6 +79,8 @@ TEST_F(PoolConfigTest, SaysWhatIsWrong) {
   EXPECT_THAT(error_of("worker_hang_limt: 3s"), HasSubstr("did you mean \"worker_hang_limit\"?"));
   EXPECT_THAT(error_of("worker_user: nobody"), HasSubstr("worker_user: unknown key"));
   EXPECT_THAT(error_of("libraries.require_signature: true"), HasSubstr("libraries.require_signature"));
+  EXPECT_THAT(error_of("libraries.require_version: true"),
+              AllOf(HasSubstr("libraries.require_version"), HasSubstr("libraries.require_signature: true")));
   EXPECT_THAT(error_of("thrift: {host: 0.0.0.0, port: 1}"),
               AllOf(HasSubstr("thrift.host"), HasSubstr("TLS and tokens")));
   EXPECT_THAT(error_of("worker_ports: {follower: [1]}"), HasSubstr("all: [5672]"));

@@ -165,6 +165,16 @@ TEST_F(PoolTest, EachPlaceRunsTheVersionThatItIsToRun) {
   EXPECT_TRUE(eventually([&] { return one->running() == std::vector<std::string>{"t/0 v2", "t/1 v2"}; }));
 }
 
+TEST_F(PoolTest, AVersionBeforeTheLastOneIsStartedAsOneThatIsGoneBackTo) {
+  const auto one = start("p1");
+  submit(views::submission("t", 1, 2));
+  EXPECT_TRUE(eventually([&] { return one->running() == std::vector<std::string>{"t/0 v2"}; }));
+  auto back = views::submission("t", 1, 1);
+  back.last_number = 2;
+  submit(back);
+  EXPECT_TRUE(eventually([&] { return one->running() == std::vector<std::string>{"t/0 v1 again"}; }));
+}
+
 TEST_F(PoolTest, ATopologyWithFewerWorkersGivesPlacesUp) {
   const auto one = start("p1");
   submit(views::submission("t", 3));

@@ -10,8 +10,11 @@
 #include <stdlib.h>
 
 #include <iotcloud/processes/landlock.h>
+#include <iotcloud/security/ed25519.h>
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/sha256.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/topology/pool/views.h>
 #include <iotcloud/topology/pool/worker_processes.h>
 
@@ -20,6 +23,7 @@ namespace {
 
 using namespace std::chrono_literals;
 using How = WorkerEnding::How;
+using testing::AllOf;
 using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::SizeIs;
@@ -97,6 +101,7 @@ class WorkerProcessesTest : public testing::Test {
     options.hang_limit = hang_limit_;
     options.call_limit = call_limit_;
     options.confinement = confinement_;
+    options.require_version = require_version_;
     return std::make_unique<WorkerProcesses>(options);
   }
   static WorkerOrder order(const std::string& wanted) {
@@ -115,6 +120,7 @@ class WorkerProcessesTest : public testing::Test {
 
   std::chrono::milliseconds hang_limit_ = tests::patience, call_limit_ = 0ms;
   processes::Confinement confinement_;
+  bool require_version_ = false;
   std::string folder_, state_;
   std::shared_ptr<processes::PluginStore> store_;
   std::shared_ptr<const security::TrustedKeys> trust_ = std::make_shared<const security::TrustedKeys>();
@@ -274,6 +280,57 @@ TEST_F(WorkerProcessesTest, StartsNoWorkerWithoutItsLibraryOrWithOtherBytesThanW
   std::ofstream(path) << "others";
   EXPECT_THROW(workers->start(wanted, told_.events()), config::Error);
   EXPECT_THAT(kept(), IsEmpty());
+}
+
+TEST_F(WorkerProcessesTest, AnOlderSignedLibraryThanOneThatRanRunsOnlyForATopologyThatGoesBackToIt) {
+  const auto lab = security::new_key_pair();
+  security::TrustedKeys::Options signers;
+  signers.require_signature = true;
+  signers.trusted_keys = {tests::write_file(folder_ + "/lab.pub", lab.public_pem)};
+  trust_ = std::make_shared<const security::TrustedKeys>(signers);
+  const auto send = [&](const std::string& bytes, const std::string& signature) {
+    const auto sha256 = security::sha256_hex(bytes);
+    const auto upload = store_->offer({"x.so", sha256, static_cast<std::int64_t>(bytes.size()), signature});
+    store_->add(upload, 0, bytes);
+    store_->finish(upload);
+    auto wanted = order("run");
+    wanted.version.libraries = {{"x.so", "x.so", sha256}};
+    return wanted;
+  };
+  const auto signed_as = [&](std::uint64_t version) {
+    const auto bytes = "the library " + std::to_string(version);
+    return send(bytes, security::sign_plugin(lab.private_pem, "lab", bytes, "x", version));
+  };
+  auto older = signed_as(1);
+  const auto newer = signed_as(2), bare = send("a library", security::sign(lab.private_pem, "lab", "a library"));
+  const auto refusal_by = [this](WorkerProcesses& workers, const WorkerOrder& wanted) -> std::string {
+    Told told;
+    try {
+      const auto link = workers.start(wanted, told.events());
+      EXPECT_TRUE(told.runs());
+      link->stop(tests::patience);
+      EXPECT_EQ(told.ending().how, How::stopped);
+    } catch (const WorkerRefused& refused) {
+      return refused.what();
+    }
+    return "";
+  };
+  const auto unconcerned = make();
+  for (const auto& wanted : {newer, older, bare})
+    EXPECT_THAT(refusal_by(*unconcerned, wanted), IsEmpty()) << "the attack";
+
+  require_version_ = true;
+  {
+    const auto workers = make();
+    EXPECT_THAT(refusal_by(*workers, older), IsEmpty());
+    EXPECT_THAT(refusal_by(*workers, newer), IsEmpty());
+    EXPECT_THAT(refusal_by(*workers, bare), HasSubstr("was signed without a version"));
+  }
+  const auto workers = make();
+  EXPECT_THAT(refusal_by(*workers, older), AllOf(HasSubstr("version 1 of x is older than version 2, which ran here"),
+                                                 HasSubstr("libraries.allow_rollback")));
+  older.goes_back = true;
+  EXPECT_THAT(refusal_by(*workers, older), IsEmpty());
 }
 
 }  // namespace

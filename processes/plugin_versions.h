@@ -10,12 +10,13 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/security/plugin_signature.h>
 
-namespace iotcloud::gateway {
+namespace iotcloud::processes {
 
-/// The versions of signed plugins that ran on this gateway. A signature does not expire, so a signed version with a
-/// security hole stays signed after the next version has closed the hole. Therefore a version that is older than one
-/// that ran here does not run again, except when an update goes back, or if the configuration allows it. Only an order
-/// of an update opens that way: the newer version of a plain deployment does not. Thread safe.
+/// The versions of signed plugins, or component libraries, that ran in this gateway, or pool of workers. A signature
+/// does not expire, so a signed version with a security hole stays signed after the next version has closed the hole.
+/// Therefore a version that is older than one that ran here does not run again, except when an update goes back, or if
+/// the configuration allows it. Only an order of an update opens that way: the newer version of a plain deployment does
+/// not. Thread safe.
 class PluginVersions {
  public:
   struct Options {
@@ -24,6 +25,7 @@ class PluginVersions {
     bool require_version = false;             ///< a plugin that was signed without a version does not run
     /// For so long after an update brought a version, the one before it may run again.
     std::chrono::milliseconds way_back{3'600'000};
+    std::string keys = "plugins";  ///< whose `allow_rollback` a person sets, for messages
   };
   /// \throws config::Error if the file cannot be read or is damaged.
   explicit PluginVersions(Options options, const config::Clock& clock = config::system_clock());
@@ -55,4 +57,4 @@ class PluginVersions {
   bool writing_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< a thread writes the file
 };
 
-}  // namespace iotcloud::gateway
+}  // namespace iotcloud::processes

@@ -6,12 +6,12 @@
 
 #include <gmock/gmock.h>
 
-#include <iotcloud/gateway/fleet/plugin_versions.h>
+#include <iotcloud/processes/plugin_versions.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/security/key_folder.h>
 #include <iotcloud/tests/sync_calls.h>
 
-namespace iotcloud::gateway {
+namespace iotcloud::processes {
 namespace {
 
 using security::error_of;
@@ -124,4 +124,4 @@ TEST_F(PluginVersionsTest, ADamagedFileIsNotTakenForAnEmptyOne) {
 }
 
 }  // namespace
-}  // namespace iotcloud::gateway
+}  // namespace iotcloud::processes

@@ -8,14 +8,14 @@
 
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
-#include <iotcloud/gateway/fleet/plugin_versions.h>
-#include <iotcloud/gateway/logger.h>
+#include <iotcloud/processes/logger.h>
+#include <iotcloud/processes/plugin_versions.h>
 
-namespace iotcloud::gateway {
+namespace iotcloud::processes {
 
 namespace {
 
-constexpr unsigned for_the_gateway = 0600;
+constexpr unsigned for_this_daemon = 0600;
 
 }  // namespace
 
@@ -47,9 +47,9 @@ void PluginVersions::refuse_without_version(const std::string& plugin) const {
   const auto known = known_.find(name);
   if (may_go_back(name) || (!options_.require_version && known == known_.end())) return;
   throw config::Error(fmt::format(
-      "{} was signed without a version{}; sign it with `iotcloud sign --version N`, or name {} in "
-      "plugins.allow_rollback",
-      plugin, known == known_.end() ? "" : fmt::format(", and version {} of it ran here", known->second.newest), name));
+      "{} was signed without a version{}; sign it with `iotcloud sign --version N`, or name {} in {}.allow_rollback",
+      plugin, known == known_.end() ? "" : fmt::format(", and version {} of it ran here", known->second.newest), name,
+      options_.keys));
 }
 
 PluginVersions::Known PluginVersions::known(const std::string& name) const {
@@ -87,21 +87,21 @@ void PluginVersions::admit(const std::string& plugin, const security::PluginSign
   const bool goes_back = signature.version == known.before && known.since_ms != 0;
   if (goes_back && clock_.wall_ms() - known.since_ms < options_.way_back.count()) return;
   if (may_go_back(signature.name)) {
-    logger.warn("{}: version {} runs although version {} ran here, as plugins.allow_rollback says", plugin,
-                signature.version, known.newest);
+    logger.warn("{}: version {} runs although version {} ran here, as {}.allow_rollback says", plugin,
+                signature.version, known.newest, options_.keys);
     return;
   }
   throw config::Error(
       fmt::format("{}: version {} of {} is older than version {}, which ran here, and may have holes that were mended "
-                  "since; deploy a newer one, or name {} in plugins.allow_rollback",
-                  plugin, signature.version, signature.name, known.newest, signature.name));
+                  "since; deploy a newer one, or name {} in {}.allow_rollback",
+                  plugin, signature.version, signature.name, known.newest, signature.name, options_.keys));
 }
 
 void PluginVersions::write(const AllKnown& known) const {
   std::string text;
   for (const auto& [name, one] : known)
     text += fmt::format("{} {} {} {}\n", name, one.newest, one.before, one.since_ms);
-  config::replace_file(options_.file, text, for_the_gateway);
+  config::replace_file(options_.file, text, for_this_daemon);
 }
 
-}  // namespace iotcloud::gateway
+}  // namespace iotcloud::processes
