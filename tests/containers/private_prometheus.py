@@ -88,9 +88,9 @@ def check(machine, sample, secrets, ports):
             raise StartError(f"Prometheus says {found}")
         return True
 
-    wait_for("Prometheus reads all daemons", all_are_up, 60)
+    wait_for("Prometheus reads all daemons", all_are_up)
     # Its answers are a moment behind what it reads.
     query = urllib.parse.quote('count by (daemon) ({__name__=~"iotcloud_.+"})')
     wait_for(f"Prometheus has metrics of {sorted(kinds)}",
-             lambda: {one["metric"]["daemon"] for one in asked(f"query?query={query}")["result"]} == kinds, 60)
+             lambda: {one["metric"]["daemon"] for one in asked(f"query?query={query}")["result"]} == kinds)
     print(f"a Prometheus with {sample.name} reads {', '.join(ports)}")

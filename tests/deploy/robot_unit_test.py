@@ -37,7 +37,7 @@ class Machine(BootedCluster):
     def metadata(self):
         """Those of the driver's record."""
         driver, = self.json("drivers")
-        return driver["metadata"]
+        return driver.get("metadata", {})
 
     def robot(self):
         return self.metadata().get("robot")
