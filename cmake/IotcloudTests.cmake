@@ -8,15 +8,18 @@ endfunction()
 # A test's labels: what it needs (`unit`, `contract`, `server`, `system`, `long`; tests/README.md), its room, which is
 # its folder (below tests/), and the presets under which ./dev test runs it: `release`, `asan`, `tsan`. ./dev test runs a
 # unit or contract test once: under tsan, under asan, or in release if neither has anything to find. Those that asan runs
-# besides tsan have the label `asan_long`, for ./dev test --long. A test whose subject is OPTIMIZED further in release
-# runs under all its presets.
+# besides tsan have the label `asan_long`, for ./dev test --long. With LATER ./dev test runs the test in release, and --long
+# under its sanitizers (`asan_long`, `tsan_long`). A test whose subject is OPTIMIZED further in release runs under all its
+# presets.
 function(_iotcloud_test_labels out)
-  cmake_parse_arguments(arg "OPTIMIZED" "" "LABELS;SANITIZERS" ${ARGN})
+  cmake_parse_arguments(arg "OPTIMIZED;LATER" "" "LABELS;SANITIZERS" ${ARGN})
   set(presets ${arg_SANITIZERS})
-  if(tsan IN_LIST presets AND NOT arg_OPTIMIZED)
+  if(arg_LATER)
+    list(TRANSFORM presets APPEND _long)
+  elseif(tsan IN_LIST presets AND NOT arg_OPTIMIZED)
     list(TRANSFORM presets REPLACE "^asan$" asan_long)
   endif()
-  if(NOT arg_LABELS MATCHES "^(unit|contract)" OR NOT arg_SANITIZERS OR arg_OPTIMIZED)
+  if(NOT arg_LABELS MATCHES "^(unit|contract)" OR NOT arg_SANITIZERS OR arg_OPTIMIZED OR arg_LATER)
     list(PREPEND presets release)
   endif()
   list(POP_FRONT arg_LABELS kind)
@@ -92,7 +95,8 @@ endfunction()
 #   start for a test whose labels say that it needs none (its environment has IOTCLOUD_TEST_LABELS).
 #   SANITIZERS: asan if it handles bytes or lifetimes of its own, tsan if it has threads. Both are the default of `unit` and
 #   `contract`; `SANITIZERS none` turns them off. ./dev test runs the test under tsan, or else under asan, and nowhere else,
-#   but for those that say OPTIMIZED, which run under all: they test what release compiles with -O3.
+#   but for those that say OPTIMIZED, which run under all: they test what release compiles with -O3. With LATER it runs them
+#   in release, and --long under the sanitizers: those of a command line, which would be most of what they compile.
 #   WHOLE words: its tests share servers that take seconds to start, so ctest runs the program once for each word, with
 #   the tests whose names contain the word. ctest starts the runs with the longest TIMEOUT first, so that none of them
 #   is left to run alone at the end. A word that names Kafka or ActiveMQ adds the label `java`.
@@ -101,11 +105,13 @@ endfunction()
 # A test whose server is unavailable here (tests/servers/private_server.h) exits with IOTCLOUD_TEST_SKIPPED.
 function(iotcloud_test)
   set(skipped 77)
-  cmake_parse_arguments(arg "OPTIMIZED" "NAME;TIMEOUT;LONG" "SOURCES;USES;LIBRARIES;LABELS;SANITIZERS;WHOLE;SHARDS" ${ARGN})
-  set(optimized)
-  if(arg_OPTIMIZED)
-    set(optimized OPTIMIZED)
-  endif()
+  cmake_parse_arguments(arg "OPTIMIZED;LATER" "NAME;TIMEOUT;LONG" "SOURCES;USES;LIBRARIES;LABELS;SANITIZERS;WHOLE;SHARDS" ${ARGN})
+  set(when)
+  foreach(word OPTIMIZED LATER)
+    if(arg_${word})
+      list(APPEND when ${word})
+    endif()
+  endforeach()
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 300)
   endif()
@@ -113,7 +119,7 @@ function(iotcloud_test)
     set(arg_SANITIZERS asan tsan)
   endif()
   list(REMOVE_ITEM arg_SANITIZERS none)
-  _iotcloud_test_labels(labels LABELS ${arg_LABELS} SANITIZERS ${arg_SANITIZERS} ${optimized})
+  _iotcloud_test_labels(labels LABELS ${arg_LABELS} SANITIZERS ${arg_SANITIZERS} ${when})
   add_executable(${arg_NAME} ${arg_SOURCES})
   _iotcloud_setup(${arg_NAME} USES ${arg_USES} LIBRARIES ${arg_LIBRARIES} GTest::gmock_main)
   _iotcloud_test_code(${arg_NAME})

@@ -50,6 +50,8 @@ def allowed(name, skips_allowed):
     """The cause for which a test may be skipped on this machine; None: there is none."""
     causes = [cause for pattern, named in skips_allowed.items() if re.search(pattern, name) for cause in named]
     return next((cause for cause in causes if CAUSES[cause]()), None)
+
+
 # How GoogleTest, unittest and the scripts of this tree print why a test was skipped.
 REASON = re.compile(r"^(?:.*: Skipped|SKIPPED? |.*\.\.\. skipped )(.*)$", re.MULTILINE)
 

@@ -75,8 +75,11 @@ std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std
 void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<DriverRecord>& drivers);
 /// All gateways that have a record, alive or not. \throws RegistryError.
 std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths);
-/// \param gateways empty: all gateways. Unknown gateways have no orders.
-std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<GatewayId>& gateways);
+/// What a node does that keeps this process out.
+enum class Unreadable { left_out, throws };
+/// \param gateways empty: all gateways. Unknown gateways have no orders. \throws RegistryError.
+std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<GatewayId>& gateways,
+                                     Unreadable unreadable = Unreadable::left_out);
 /// The form of a topology's order as the word for what is wanted: "active", "inactive" or "killed".
 struct AsWantedState {
   static std::string to(const std::optional<TopologyOrder>& order);

@@ -28,7 +28,7 @@ std::optional<Record> record_of(const std::optional<Node>& node, const std::stri
 /// The paths of all children of each of `parents`, in order.
 std::vector<std::string> below(Registry& registry, const std::vector<std::string>& parents) {
   std::vector<std::string> paths;
-  const auto lists = readable_children(registry, parents);
+  const auto lists = registry.children_of_readable(parents);
   for (std::size_t i = 0; i < parents.size(); ++i) {
     for (const std::string& name : lists[i].value_or(std::vector<std::string>())) {
       paths.push_back(child_of(parents[i], name));
@@ -37,12 +37,19 @@ std::vector<std::string> below(Registry& registry, const std::vector<std::string
   return paths;
 }
 
-/// Calls `use` with the name and record of each child of `path`.
+/// The paths of all children of a branch. \throws RegistryError if it keeps this process out: then nothing is known.
+std::vector<std::string> in_branch(Registry& registry, const std::string& branch) {
+  auto paths = registry.children(branch).value_or(std::vector<std::string>());
+  for (auto& path : paths) path = child_of(branch, path);
+  return paths;
+}
+
+/// Calls `use` with the name and record of each child of a branch.
 template <typename Record, typename Use>
-void for_each_child(Registry& registry, const std::string& path,
+void for_each_child(Registry& registry, const std::string& branch,
                     Record (*decode)(const std::string&, const std::string&), const Use& use) {
-  const auto paths = below(registry, {path});
-  const auto nodes = get_readable(registry, paths);
+  const auto paths = in_branch(registry, branch);
+  const auto nodes = registry.get_readable(paths);
   for (std::size_t i = 0; i < paths.size(); ++i) {
     if (auto record = record_of(nodes[i], paths[i], decode)) use(name_of(paths[i]), std::move(*record));
   }
@@ -61,7 +68,7 @@ void describe(TopologyStatus& status, const Submission& submission, std::vector<
 }  // namespace
 
 std::vector<std::string> list_instances(Registry& registry, const Paths& paths) {
-  return below(registry, below(registry, {paths.sensors}));
+  return below(registry, in_branch(registry, paths.sensors));
 }
 
 std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std::string& path) {
@@ -79,7 +86,7 @@ void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<D
     place_of[unnamed.back()] = i;
   }
   const auto channels = below(registry, unnamed);
-  const auto nodes = get_readable(registry, channels);
+  const auto nodes = registry.get_readable(channels);
   for (std::size_t i = 0; i < channels.size(); ++i) {
     auto channel = record_of(nodes[i], channels[i], decode_channel);
     if (channel) drivers[place_of.at(parent_of(channels[i]))].channels.push_back(std::move(*channel));
@@ -91,7 +98,7 @@ void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<D
 std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths) {
   std::vector<DriverRecord> drivers;
   const auto instances = list_instances(registry, paths);
-  const auto nodes = get_readable(registry, instances);
+  const auto nodes = registry.get_readable(instances);
   for (std::size_t i = 0; i < instances.size(); ++i) {
     if (auto driver = driver_of(nodes[i], instances[i])) drivers.push_back(std::move(*driver));
   }
@@ -111,9 +118,9 @@ std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths)
     frozen.push_back(freeze_path(paths, id));
     gateways.push_back(std::move(status));
   });
-  const auto lives = get_readable(registry, alive);
-  const auto marks = get_readable(registry, draining);
-  const auto freezes = get_readable(registry, frozen);
+  const auto lives = registry.get_readable(alive);
+  const auto marks = registry.get_readable(draining);
+  const auto freezes = registry.get_readable(frozen);
   for (std::size_t i = 0; i < gateways.size(); ++i) {
     gateways[i].alive = lives[i].has_value();
     gateways[i].draining = marks[i].has_value();
@@ -124,17 +131,19 @@ std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths)
   return gateways;
 }
 
-std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<GatewayId>& gateways) {
+std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, const std::vector<GatewayId>& gateways,
+                                     Unreadable unreadable) {
   auto ids = gateways;
   if (ids.empty()) {
-    for (const std::string& path : below(registry, {paths.gateways})) ids.emplace_back(name_of(path));
+    for (const std::string& path : in_branch(registry, paths.gateways)) ids.emplace_back(name_of(path));
   }
   std::vector<std::string> parents;
   parents.reserve(ids.size());
   for (const GatewayId& id : ids) parents.push_back(paths.orders(id));
   std::vector<PlacedOrder> orders;
+  if (unreadable == Unreadable::throws) registry.children_of_all(parents);
   const auto places = below(registry, parents);
-  const auto nodes = get_readable(registry, places);
+  const auto nodes = unreadable == Unreadable::throws ? registry.get_all(places) : registry.get_readable(places);
   for (std::size_t i = 0; i < places.size(); ++i) {
     if (auto order = record_of(nodes[i], places[i], decode_order)) {
       orders.push_back({GatewayId(name_of(parent_of(parent_of(places[i])))), std::move(*order)});
@@ -177,8 +186,8 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
   }
   std::vector<TopologyStatus> topologies;
   std::map<TopologyName, std::optional<Node>> nodes;
-  const auto all = below(registry, {paths.topologies});
-  auto found = get_readable(registry, all);
+  const auto all = in_branch(registry, paths.topologies);
+  auto found = registry.get_readable(all);
   for (std::size_t i = 0; i < all.size(); ++i) nodes.emplace(name_of(all[i]), std::move(found[i]));
   for (const auto& [name, submission] : submissions) nodes.try_emplace(name);
   for (const auto& [name, node] : nodes) {
@@ -194,7 +203,7 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
     status.record.name = name;
     status.workers = list_workers(registry, paths, name);
     const std::string path = paths.topology_order(name);
-    const auto order = get_readable(registry, {path}).front();
+    const auto order = registry.get_readable({path}).front();
     try {
       if (order) status.order = decode_topology_order(order->data, path);
     } catch (const config::Error& error) {
@@ -209,7 +218,7 @@ std::vector<TopologyStatus> list_topologies(Registry& registry, const Paths& pat
 std::vector<WorkerRecord> list_workers(Registry& registry, const Paths& paths, const TopologyName& topology) {
   std::vector<WorkerRecord> workers;
   const auto members = below(registry, {paths.workers(topology)});
-  const auto nodes = get_readable(registry, members);
+  const auto nodes = registry.get_readable(members);
   for (std::size_t i = 0; i < members.size(); ++i) {
     if (!nodes[i]) continue;
     WorkerRecord record;

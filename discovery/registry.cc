@@ -102,60 +102,43 @@ RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
 
 namespace {
 
-/// Reads many nodes with `read`. When one of them is denied, halves of the list show which, so that few cost little.
-template <typename Answer, typename Read>
-std::vector<std::optional<Answer>> read_allowed(const std::vector<std::string>& paths, const Read& read) {
-  try {
-    return read(paths);
-  } catch (const RegistryError& error) {
-    if (error.code() != RegistryErrorCode::denied) throw;
-    if (paths.size() == 1) {
-      logger.warn("{} counts as absent, because it keeps this process out; `iotcloud registry rights` says what to do",
-                  paths.front());
-      return {std::nullopt};
-    }
-  }
-  const auto middle = paths.begin() + static_cast<std::ptrdiff_t>(paths.size() / 2);
-  auto answers = read_allowed<Answer>({paths.begin(), middle}, read);
-  auto rest = read_allowed<Answer>({middle, paths.end()}, read);
-  std::move(rest.begin(), rest.end(), std::back_inserter(answers));
-  return answers;
-}
-
-/// Makes a branch if it is not there. \return false: the registry is away
-bool make_branch(Registry& registry, const std::string& branch) {
+/// Makes a branch if it is not there. While the registry is away nothing is made: the next connection makes it.
+void make_branch(Registry& registry, const std::string& branch) {
   try {
     if (!registry.get(branch)) registry.create(branch, "");
   } catch (const RegistryError& error) {
-    if (error.code() == RegistryErrorCode::away || error.code() == RegistryErrorCode::closed) return false;
-    if (error.code() == RegistryErrorCode::exists) return true;  // by another master meanwhile
+    if (error.code() == RegistryErrorCode::away || error.code() == RegistryErrorCode::closed) return;
+    if (error.code() == RegistryErrorCode::exists) return;  // by another master meanwhile
     logger.error(
         "{}; all records of its kind are below that node. If another process made it, and keeps masters out, "
         "`iotcloud registry rights` takes it away and makes it anew",
         error.what());
   }
-  return true;
 }
+
+class BranchKeeper final : public Guard {
+ public:
+  BranchKeeper(Registry& registry, const std::vector<std::string>& branches) {
+    for (const auto& branch : branches) {
+      guards_.push_back(registry.watch_node(branch, [&registry, branch](const std::optional<Node>& node) {
+        if (!node) make_branch(registry, branch);
+      }));
+    }
+    // A watch reports nothing of a node that keeps this user out; this tells of it.
+    guards_.push_back(registry.on_session([&registry, branches](SessionState state) {
+      if (state != SessionState::connected) return;
+      for (const auto& branch : branches) make_branch(registry, branch);
+    }));
+  }
+
+ private:
+  std::vector<GuardPtr> guards_;
+};
 
 }  // namespace
 
 GuardPtr keep_branches(Registry& registry, const Paths& paths) {
-  return registry.on_session([&registry, branches = paths.branches()](SessionState state) {
-    if (state != SessionState::connected) return;
-    for (const std::string& branch : branches) {
-      if (!make_branch(registry, branch)) return;  // the next connection makes the rest
-    }
-  });
-}
-
-std::vector<std::optional<Node>> get_readable(Registry& registry, const std::vector<std::string>& paths) {
-  return read_allowed<Node>(paths, [&](const auto& some) { return registry.get_all(some); });
-}
-
-std::vector<std::optional<std::vector<std::string>>> readable_children(Registry& registry,
-                                                                       const std::vector<std::string>& paths) {
-  return read_allowed<std::vector<std::string>>(paths,
-                                                [&](const auto& some) { return registry.children_of_all(some); });
+  return std::make_unique<BranchKeeper>(registry, paths.branches());
 }
 
 void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence) {

@@ -93,6 +93,15 @@ class Registry {
   virtual std::vector<std::optional<Node>> get_all(const std::vector<std::string>& paths) = 0;
   virtual std::vector<std::optional<std::vector<std::string>>> children_of_all(
       const std::vector<std::string>& paths) = 0;
+  /// As get_all() and children_of_all(), but what this user may not read counts as absent, and the log tells of it: the
+  /// thief of one process may shut others out of that process's nodes, not keep them from reading the rest.
+  virtual std::vector<std::optional<Node>> get_readable(const std::vector<std::string>& paths) {
+    return get_all(paths);
+  }
+  virtual std::vector<std::optional<std::vector<std::string>>> children_of_readable(
+      const std::vector<std::string>& paths) {
+    return children_of_all(paths);
+  }
 
   /// Creates an ephemeral node (missing parents are made persistent) and keeps it: it is created again after the
   /// session expired, and removed when the guard is destroyed. With `sequential` the server appends ten digits that
@@ -173,15 +182,10 @@ RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
                            const std::function<void(std::size_t nodes)>& progress = {});
 
 /// Makes the nodes below which all records are (Paths::branches), as far as they are missing; masters do so whenever
-/// they have reached the registry, which may have been emptied meanwhile. With RegistryAccess nobody else may. Returns
-/// at once; the log tells what a master could not make or may not read. \return ends it when it is destroyed
+/// they have reached the registry, which may have been emptied meanwhile, and when somebody has removed one. With
+/// RegistryAccess nobody else may. Returns at once; the log tells what a master could not make or may not read.
+/// \return ends it when it is destroyed
 GuardPtr keep_branches(Registry& registry, const Paths& paths);
-
-/// Like Registry::get_all() and children_of_all(), but what this user may not read counts as absent, and the log names
-/// it: the thief of one process may shut others out of that process's nodes, not keep them from reading the rest.
-std::vector<std::optional<Node>> get_readable(Registry& registry, const std::vector<std::string>& paths);
-std::vector<std::optional<std::vector<std::string>>> readable_children(Registry& registry,
-                                                                       const std::vector<std::string>& paths);
 
 /// Sets a node's data; creates the node and its parents if they are missing.
 void put(Registry& registry, const std::string& path, const std::string& data, const Fence& fence = {});

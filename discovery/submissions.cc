@@ -11,14 +11,16 @@ namespace {
 
 const config::Logger submissions_logger{"discovery.submissions"};
 
-/// Calls `use` with the name and node of each child of `parent`, or, with `below`, of that node of each child.
+using Names = std::vector<std::string>;
+
+/// Calls `use` with the name and node of each of these children of `parent`, or, with `below`, of that node of each.
 template <typename Use>
-void for_each_node(Registry& registry, const std::string& parent, const std::string& below, const Use& use) {
-  const auto names = readable_children(registry, {parent}).front().value_or(std::vector<std::string>());
-  std::vector<std::string> paths;
+void for_each_node(Registry& registry, const std::string& parent, const Names& names, const std::string& below,
+                   const Use& use) {
+  Names paths;
   paths.reserve(names.size());
   for (const std::string& name : names) paths.push_back(child_of(parent, name) + below);
-  const auto nodes = get_readable(registry, paths);
+  const auto nodes = registry.get_readable(paths);
   for (std::size_t i = 0; i < names.size(); ++i) {
     if (!nodes[i]) continue;
     try {
@@ -63,18 +65,21 @@ PoolRecord decode_pool(const std::string& bytes, const std::string& path) {
 
 std::vector<PoolRecord> list_pools(Registry& registry, const Paths& paths) {
   std::vector<PoolRecord> pools;
-  for_each_node(registry, paths.pools, "", [&](const std::string& name, const std::string& path, const Node& node) {
-    auto pool = decode_pool(node.data, path);
-    pool.id = PoolId(name);
-    for (auto& place : pool.places) place.pool = pool.id;
-    pools.push_back(std::move(pool));
-  });
+  const auto names = registry.children(paths.pools).value_or(Names());
+  for_each_node(registry, paths.pools, names, "",
+                [&](const std::string& name, const std::string& path, const Node& node) {
+                  auto pool = decode_pool(node.data, path);
+                  pool.id = PoolId(name);
+                  for (auto& place : pool.places) place.pool = pool.id;
+                  pools.push_back(std::move(pool));
+                });
   return pools;
 }
 
 std::map<TopologyName, StandingSubmission> list_submissions(Registry& registry, const Paths& paths) {
   std::map<TopologyName, StandingSubmission> found;
-  for_each_node(registry, paths.submissions, "/wanted",
+  const auto names = registry.children(paths.submissions).value_or(Names());
+  for_each_node(registry, paths.submissions, names, "/wanted",
                 [&](const std::string& name, const std::string& path, const Node& node) {
                   auto submission = decode_submission(node.data, path);
                   if (submission.name != name) {
@@ -89,12 +94,13 @@ std::map<PlaceId, PlaceHolder> list_holders(Registry& registry, const Paths& pat
                                             const std::vector<TopologyName>& topologies) {
   std::map<PlaceId, PlaceHolder> found;
   for (const TopologyName& topology : topologies) {
-    for_each_node(registry, paths.places(topology), "",
-                  [&](const std::string& name, const std::string& path, const Node& node) {
-                    const auto number = config::parse_number<int>(name);
-                    if (!number) throw config::Error(fmt::format("{}: \"{}\" is no number of a place", path, name));
-                    found.emplace(PlaceId{topology, *number}, from_text<PlaceHolder>(node.data, path));
-                  });
+    const auto places = paths.places(topology);
+    const auto names = registry.children_of_readable({places}).front().value_or(Names());
+    for_each_node(registry, places, names, "", [&](const std::string& name, const std::string& path, const Node& node) {
+      const auto number = config::parse_number<int>(name);
+      if (!number) throw config::Error(fmt::format("{}: \"{}\" is no number of a place", path, name));
+      found.emplace(PlaceId{topology, *number}, from_text<PlaceHolder>(node.data, path));
+    });
   }
   return found;
 }

@@ -181,7 +181,10 @@ OrderFeed::Found OrderFeed::read_registry(Reading reading) {
   const std::string mark = discovery::freeze_path(paths_, gateway_);
   Found found;
   auto both = registry_.get_all({list, mark});
-  while (!both[0] && !both[1] && nothing_to_lose()) {  // again, when the registry is emptied before the answer
+  constexpr int most_tries = 3;  // more than one, because the registry may be emptied before the answer
+  for (int tries = 0; !both[0] && !both[1] && nothing_to_lose(); ++tries) {
+    if (tries == most_tries)
+      throw discovery::RegistryError(discovery::RegistryErrorCode::away, list + " goes as soon as it is made");
     discovery::put(registry_, list, "");
     both = registry_.get_all({list, mark});
   }

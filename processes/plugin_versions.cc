@@ -46,7 +46,7 @@ void PluginVersions::refuse_without_version(const std::string& plugin) const {
   const std::string name = plugin.substr(0, plugin.rfind('.'));
   const auto known = known_.find(name);
   if (may_go_back(name) || (!options_.require_version && known == known_.end())) return;
-  throw config::Error(fmt::format(
+  throw VersionRefused(fmt::format(
       "{} was signed without a version{}; sign it with `iotcloud sign --version N`, or name {} in {}.allow_rollback",
       plugin, known == known_.end() ? "" : fmt::format(", and version {} of it ran here", known->second.newest), name,
       options_.keys));
@@ -91,7 +91,7 @@ void PluginVersions::admit(const std::string& plugin, const security::PluginSign
                 signature.version, known.newest, options_.keys);
     return;
   }
-  throw config::Error(
+  throw VersionRefused(
       fmt::format("{}: version {} of {} is older than version {}, which ran here, and may have holes that were mended "
                   "since; deploy a newer one, or name {} in {}.allow_rollback",
                   plugin, signature.version, signature.name, known.newest, signature.name, options_.keys));

@@ -7,10 +7,16 @@
 #include <vector>
 
 #include <iotcloud/config/clock.h>
+#include <iotcloud/config/error.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/security/plugin_signature.h>
 
 namespace iotcloud::processes {
+
+/// A plugin that must not run here, whatever becomes of the disk or the memory.
+struct VersionRefused : config::Error {
+  using Error::Error;
+};
 
 /// The versions of signed plugins, or component libraries, that ran in this gateway, or pool of workers. A signature
 /// does not expire, so a signed version with a security hole stays signed after the next version has closed the hole.
@@ -32,7 +38,7 @@ class PluginVersions {
 
   /// Takes note that a plugin is about to run. \param plugin its file, such as turtle.so. \param signature one that a
   /// trusted key made. \param of_update the order is one of an update.
-  /// \throws config::Error if it must not run, with the reason
+  /// \throws VersionRefused if it must not run, with the reason; config::Error if the note cannot be written
   void admit(const std::string& plugin, const security::PluginSignature& signature, bool of_update)
       IOTCLOUD_EXCLUDES(mutex_);
 

@@ -283,9 +283,10 @@ def distribute(folder):
 def make_secrets(docker):
     """Makes certificates, tokens and passwords, readable by the containers' user only: all of them, or none."""
     if SECRETS.exists():
-        if not (SECRETS / "authority/plugins.pub").exists():  # made before gateways asked for signatures
-            run(docker.once("secrets", "keys", "new", "/secrets/plugins"), check=True, env=environment())
-            distribute(SECRETS)
+        missing = sorted({service for service, files in FILES.items() for name in files if not (SECRETS / service / name).exists()})
+        if missing:
+            raise Refused(f"{SECRETS.relative_to(ROOT)} was made by an earlier version, and has not what these need: "
+                          f"{', '.join(missing)}; `./dev cluster down` takes it away, then `up` makes it anew")
         return
     say(f"certificates, tokens and passwords, in {SECRETS.relative_to(ROOT)}")
     fresh = SECRETS.with_name("secrets.new")

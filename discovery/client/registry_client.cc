@@ -1,12 +1,15 @@
 #include <algorithm>
 #include <initializer_list>
+#include <set>
 #include <span>
 #include <utility>
 
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/client/batch.h>
 #include <iotcloud/discovery/client/client_state.h>
 #include <iotcloud/discovery/client/path.h>
 #include <iotcloud/discovery/client/registry_client.h>
+#include <iotcloud/discovery/logger.h>
 
 namespace iotcloud::discovery {
 namespace {
@@ -143,39 +146,17 @@ class RegistryClient : public Registry {
   }
 
   std::vector<std::optional<Node>> get_all(const std::vector<std::string>& paths) override {
-    std::vector<std::optional<Node>> nodes;
-    nodes.reserve(paths.size());
-    const auto read = [](RegistryConnection& connection, const std::string& path, Done done) {
-      connection.get(path, false, std::move(done));
-    };
-    for_each_answer("get ", paths, read, [&](const std::string& path, Reply& reply) {
-      if (reply.status == ReplyStatus::no_node) {
-        nodes.emplace_back();
-      } else if (reply.status == ReplyStatus::ok) {
-        nodes.emplace_back(std::move(reply.node));
-      } else {
-        throw refusal("get " + path, reply.status);
-      }
-    });
-    return nodes;
+    return nodes_at(paths, Denied::throws);
   }
-
   std::vector<std::optional<std::vector<std::string>>> children_of_all(const std::vector<std::string>& paths) override {
-    std::vector<std::optional<std::vector<std::string>>> lists;
-    lists.reserve(paths.size());
-    const auto read = [](RegistryConnection& connection, const std::string& path, Done done) {
-      connection.children(path, false, std::move(done));
-    };
-    for_each_answer("children of ", paths, read, [&](const std::string& path, Reply& reply) {
-      if (reply.status == ReplyStatus::no_node) {
-        lists.emplace_back();
-      } else if (reply.status == ReplyStatus::ok) {
-        lists.emplace_back(std::move(reply.names));
-      } else {
-        throw refusal("children of " + path, reply.status);
-      }
-    });
-    return lists;
+    return children_at(paths, Denied::throws);
+  }
+  std::vector<std::optional<Node>> get_readable(const std::vector<std::string>& paths) override {
+    return nodes_at(paths, Denied::counts_as_absent);
+  }
+  std::vector<std::optional<std::vector<std::string>>> children_of_readable(
+      const std::vector<std::string>& paths) override {
+    return children_at(paths, Denied::counts_as_absent);
   }
 
   GuardPtr hold(const std::string& path, const std::string& data, bool sequential,
@@ -225,6 +206,57 @@ class RegistryClient : public Registry {
     }
   }
 
+  /// What a node does to a reading that it keeps out.
+  enum class Denied { throws, counts_as_absent };
+
+  std::vector<std::optional<Node>> nodes_at(const std::vector<std::string>& paths, Denied denied) {
+    const auto read = [](RegistryConnection& connection, const std::string& path, Done done) {
+      connection.get(path, false, std::move(done));
+    };
+    return answers<Node>("get ", paths, denied, read, [](Reply& reply) { return std::move(reply.node); });
+  }
+
+  std::vector<std::optional<std::vector<std::string>>> children_at(const std::vector<std::string>& paths,
+                                                                   Denied denied) {
+    const auto read = [](RegistryConnection& connection, const std::string& path, Done done) {
+      connection.children(path, false, std::move(done));
+    };
+    return answers<std::vector<std::string>>("children of ", paths, denied, read,
+                                             [](Reply& reply) { return std::move(reply.names); });
+  }
+
+  template <typename Answer, typename Take>
+  std::vector<std::optional<Answer>> answers(const std::string& what, const std::vector<std::string>& paths,
+                                             Denied denied, const Batch::Read& read, const Take& take) {
+    std::vector<std::optional<Answer>> found;
+    found.reserve(paths.size());
+    std::vector<std::string> shut;
+    for_each_answer(what, paths, read, [&](const std::string& path, Reply& reply) {
+      if (reply.status == ReplyStatus::ok) {
+        found.emplace_back(take(reply));
+        return;
+      }
+      const bool is_shut = reply.status == ReplyStatus::denied && denied == Denied::counts_as_absent;
+      if (!is_shut && reply.status != ReplyStatus::no_node) throw refusal(what + path, reply.status);
+      if (is_shut) shut.push_back(path);
+      found.emplace_back();
+    });
+    tell_of(shut);
+    return found;
+  }
+
+  /// Logs nodes that keep this user out, each once: lists are read again and again. Whoever makes many of them fills
+  /// neither the log nor the memory.
+  void tell_of(const std::vector<std::string>& shut) {
+    constexpr std::size_t most_told = 100;
+    const config::MutexLock lock(mutex_);
+    for (const auto& path : shut) {
+      if (told_.size() == most_told || !told_.insert(path).second) continue;
+      logger.warn("{} counts as absent, because it keeps this process out; `iotcloud registry rights` says what to do",
+                  path);
+    }
+  }
+
   /// Reads in batches; the operation time-out counts for each batch.
   void for_each_answer(const std::string& what, const std::vector<std::string>& paths, const Batch::Read& read,
                        const std::function<void(const std::string&, Reply&)>& use) {
@@ -257,6 +289,8 @@ class RegistryClient : public Registry {
   }
 
   const std::shared_ptr<ClientState> core_;
+  config::Mutex mutex_;
+  std::set<std::string> told_ IOTCLOUD_GUARDED_BY(mutex_);  ///< nodes that keep this user out, of which the log tells
 };
 
 }  // namespace

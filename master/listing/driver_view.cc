@@ -43,7 +43,7 @@ std::vector<DriverRecord> DriverView::list() {
       ordered_.clear();
     }
     forget(std::move(all));
-    const auto nodes = discovery::get_readable(registry_, instances);
+    const auto nodes = registry_.get_readable(instances);
     for (std::size_t i = 0; i < instances.size(); ++i) {
       if (auto driver = discovery::driver_of(nodes[i], instances[i])) drivers.push_back(std::move(*driver));
     }
@@ -112,7 +112,7 @@ void DriverView::read_ordered(const std::vector<std::string>& instances) {
     }
     ordered_.clear();
   }
-  const auto nodes = discovery::get_readable(registry_, again);
+  const auto nodes = registry_.get_readable(again);
   for (std::size_t i = 0; i < again.size(); ++i) take(again[i], nodes[i]);
 }
 
@@ -127,7 +127,7 @@ void DriverView::wait_until_read() {
       if (!entry.read) unread.push_back(path);
     }
   }
-  const auto nodes = discovery::get_readable(registry_, unread);
+  const auto nodes = registry_.get_readable(unread);
   for (std::size_t i = 0; i < unread.size(); ++i) take(unread[i], nodes[i]);
 }
 

@@ -26,7 +26,7 @@ Backup Backups::make() const {
   auto& registry = desk_.registry;
   const auto& paths = desk_.options.paths;
   std::map<GatewayId, GatewayBackup> gateways;
-  for (auto& [gateway, order] : discovery::list_orders(registry, paths, {}))
+  for (auto& [gateway, order] : discovery::list_orders(registry, paths, {}, discovery::Unreadable::throws))
     gateways[gateway].orders.push_back(std::move(order));
   for (const auto& gateway : desk_.gateways()) {
     if (gateway.draining) gateways[gateway.record.id].draining = true;

@@ -36,7 +36,8 @@ OrderResult Draining::drain_all(const GatewaySelection& selection, bool undo) {
     for (const auto& id : selection.gateways) mark(id, undo, *lead);
   }
   const std::set<discovery::GatewayId> ids(selection.gateways.begin(), selection.gateways.end());
-  auto orders = discovery::list_orders(desk_.registry, desk_.options.paths, {ids.begin(), ids.end()});
+  auto orders = discovery::list_orders(desk_.registry, desk_.options.paths, {ids.begin(), ids.end()},
+                                       discovery::Unreadable::throws);
   std::erase_if(orders, [&](const auto& placed) { return undo ? !placed.order.drained : !placed.order.active; });
   std::sort(orders.begin(), orders.end(), [](const auto& a, const auto& b) {
     return std::tie(a.gateway, a.order.name, a.order.index, a.order.instance) <

@@ -91,7 +91,7 @@ std::map<InstanceId, LocatedInstance> OrderBook::locate(const std::set<InstanceI
   const std::vector<DriverName> drivers(names.begin(), names.end());
   Names parents;
   for (const auto& driver : drivers) parents.push_back(paths_.driver(driver));
-  const auto records = discovery::readable_children(registry_, parents);
+  const auto records = registry_.children_of_readable(parents);
   std::vector<LocatedInstance> found;
   Names paths;
   for (std::size_t i = 0; i < drivers.size(); ++i) {
@@ -102,7 +102,7 @@ std::map<InstanceId, LocatedInstance> OrderBook::locate(const std::set<InstanceI
       paths.push_back(paths_.instance(drivers[i], instance));
     }
   }
-  auto nodes = discovery::get_readable(registry_, paths);
+  auto nodes = registry_.get_readable(paths);
   std::map<InstanceId, LocatedInstance> located;
   for (std::size_t i = 0; i < found.size(); ++i) {
     if (!nodes[i] || nodes[i]->data.empty()) continue;
@@ -113,7 +113,7 @@ std::map<InstanceId, LocatedInstance> OrderBook::locate(const std::set<InstanceI
   if (located.size() == instances.size()) return located;
   Names orders;
   for (const auto& gateway : known) orders.push_back(paths_.orders(gateway.record.id));
-  const auto ordered = discovery::readable_children(registry_, orders);
+  const auto ordered = registry_.children_of_readable(orders);
   for (std::size_t i = 0; i < known.size(); ++i) {
     for (const auto& name : ordered[i].value_or(Names{})) {
       const InstanceId instance(name);

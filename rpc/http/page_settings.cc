@@ -41,7 +41,7 @@ PageSettings read_page_settings(config::YamlSection& file) {
   }
   settings.certificates = section->strings_or("certificates", {});
   for (const auto& certificate : settings.certificates) {
-    if (!std::filesystem::exists(certificate))
+    if (section->runs_here() && !std::filesystem::exists(certificate))
       section->refuse(
           "certificates", "the file \"" + certificate + "\" is not there",
           "certificates whose days left /metrics is to show; this daemon's own and its authority's it shows "

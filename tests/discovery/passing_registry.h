@@ -38,6 +38,10 @@ class PassingRegistry : public discovery::Registry {
   std::vector<std::optional<Names>> children_of_all(const Names& paths) override {
     return registry_->children_of_all(paths);
   }
+  std::vector<std::optional<Node>> get_readable(const Names& paths) override { return registry_->get_readable(paths); }
+  std::vector<std::optional<Names>> children_of_readable(const Names& paths) override {
+    return registry_->children_of_readable(paths);
+  }
   discovery::GuardPtr hold(const std::string& path, const std::string& data, bool sequential,
                            std::function<void(const std::string&)> on_created) override {
     return registry_->hold(path, data, sequential, std::move(on_created));

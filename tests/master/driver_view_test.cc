@@ -104,6 +104,13 @@ class RegistryWithAShutNode final : public iotcloud::tests::PassingRegistry {
     if (std::find(paths.begin(), paths.end(), path_) == paths.end()) return PassingRegistry::get_all(paths);
     throw discovery::RegistryError(discovery::RegistryErrorCode::denied, path_ + ": it belongs to another user");
   }
+  std::vector<std::optional<Node>> get_readable(const Names& paths) override {
+    auto nodes = PassingRegistry::get_readable(paths);
+    for (std::size_t i = 0; i < paths.size(); ++i) {
+      if (paths[i] == path_) nodes[i].reset();
+    }
+    return nodes;
+  }
   discovery::GuardPtr watch_node(const std::string& path,
                                  std::function<void(const std::optional<Node>&)> callback) override {
     return path == path_ ? nullptr : PassingRegistry::watch_node(path, std::move(callback));

@@ -71,12 +71,17 @@ std::string WorkerProcesses::checked_library(const discovery::SentLibrary& libra
     throw WorkerRefused(fmt::format("{} has other bytes than those that were sent as {}", *path, library.file));
   const std::string signature_path = options_.store->signature_path_of(library.sha256);
   const std::string signature = fs::exists(signature_path) ? processes::read_file(signature_path, 0) : "";
+  std::string signer;
   try {
-    const std::string signer = options_.trust->admit(library.file, content, signature);
-    if (versions_ && !signer.empty() && !goes_back)
-      versions_->admit(library.file, security::parse_plugin_signature(signature), false);
+    signer = options_.trust->admit(library.file, content, signature);
   } catch (const config::Error& error) {
     throw WorkerRefused(error.what());
+  }
+  if (!versions_ || signer.empty() || goes_back) return *path;
+  try {
+    versions_->admit(library.file, security::parse_plugin_signature(signature), false);
+  } catch (const processes::VersionRefused& refused) {
+    throw WorkerRefused(refused.what());
   }
   return *path;
 }

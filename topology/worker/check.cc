@@ -76,9 +76,9 @@ std::string one_line(const nlohmann::ordered_json& answer) {
 std::string check_topology(const std::string& file, const std::vector<std::string>& folders,
                            ComponentRegistry components) {
   std::string description;
-  read_and_assemble(file, RunsOn::this_machine, folders, std::move(components), [&](const auto& definition, const auto& topology) {
-    description = describe(definition, topology);
-  });
+  read_and_assemble(
+      file, RunsOn::this_machine, folders, std::move(components),
+      [&](const auto& definition, const auto& topology) { description = describe(definition, topology); });
   return description;
 }
 

@@ -143,7 +143,7 @@ struct Worker::Impl {
   bool stay_alone(const std::string& crossed, const std::stop_token& stop) {
     const std::string path = services->paths.topology(services->topology) + "/alone";
     const auto patience = options.definition.registry.session_timeout + std::chrono::seconds(2);
-    const auto deadline = std::chrono::steady_clock::now() + patience;
+    auto deadline = std::chrono::steady_clock::now() + patience;
     for (bool told = false;;) {
       try {
         alone = options.registry->hold(path, services->worker);
@@ -154,6 +154,14 @@ struct Worker::Impl {
                              topology.name);
           alone = options.registry->hold_eventually(path, services->worker);
           return true;
+        }
+        if (error.code() == discovery::RegistryErrorCode::denied) {
+          if (!std::exchange(told, true))
+            worker_logger.warn("topology {}: {}; this worker waits until a master has made the registry's branches",
+                               topology.name, error.what());
+          if (pause(std::chrono::milliseconds(100), stop)) return false;
+          deadline = std::chrono::steady_clock::now() + patience;
+          continue;
         }
         if (error.code() != discovery::RegistryErrorCode::exists) throw;
       }

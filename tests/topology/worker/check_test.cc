@@ -203,10 +203,12 @@ metrics:
   address: "0.0.0.0:0"
   tls: {ca: /nowhere/ca.pem, certificate: /nowhere/host.pem, key: /nowhere/host.key}
   tokens: /nowhere/tokens
+  certificates: [/nowhere/tunnel.pem]
 )");
   const auto [status, said] = run("--check " + file);
   EXPECT_EQ(status, 2) << "it does not run here";
-  for (const char* name : {"registry.password", "registry.users", "rabbitmq.password", "ca.pem", "tokens"})
+  for (const char* name :
+       {"registry.password", "registry.users", "rabbitmq.password", "ca.pem", "tokens", "tunnel.pem"})
     EXPECT_THAT(said, HasSubstr("/nowhere/" + std::string(name)));
   EXPECT_THAT(run("--check-submission " + file).second, AllOf(HasSubstr(R"("topology":"t")"), Not(HasSubstr("error"))));
 }
