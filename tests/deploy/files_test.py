@@ -146,7 +146,8 @@ def check_users(machine):
 def check_renewal(machine, bring):
     """A new token and a renewed certificate count, and nothing is started again."""
     processes = {unit: machine.main_process(unit) for unit in DAEMONS}
-    made = machine.inside(machine.bin / "iotcloud", "token", "add", "bob", "--role", "admin", "--file", f"{ETC}/master-tokens")
+    made = machine.inside(machine.bin / "iotcloud", "token", "add", "bob", "--role", "admin", "--certificate", "operator", "--file",
+                          f"{ETC}/master-tokens")
     require(made.returncode == 0, f"no token for bob: {made.stderr}")
     machine.token = made.stdout.strip()
     wait_for("the new token counts", lambda: machine.run_cli("gateways").returncode == 0)

@@ -357,6 +357,8 @@ SeedsOfTarget pool_seeds() {
     client.send_describeLibrary(sha256_of_bytes);
     client.send_readLibrary(sha256_of_bytes, 2);
     client.send_readLibrary(sha256_of_bytes, 6);
+    client.send_readLibrary(sha256_of_bytes, -1);
+    client.send_readLibrary(sha256_of_bytes, std::int64_t{1} << 40);
   });
   seeds["libraries"] = sent<Client>([&](Client& client) {
     client.send_offerLibrary(library);

@@ -4,8 +4,6 @@
 #include <memory>
 #include <string>
 
-#include <thrift/TProcessor.h>
-
 #include <iotcloud/discovery/ids.h>
 #include <iotcloud/processes/plugin_store.h>
 #include <iotcloud/rpc/guarded_service.h>
