@@ -52,8 +52,8 @@ RegistryError refusal(const std::string& what, ReplyStatus status) {
       return RegistryError(RegistryErrorCode::denied,
                            what +
                                ": it belongs to another user of the registry; are registry.user and "
-                               "registry.password_file those of the process that created it? With registry.users a "
-                               "master must have run, which makes what all records are below");
+                               "registry.password_file those of the process that created it? With registry.users it "
+                               "is also so until the first master has made what all records are below");
     case ReplyStatus::fenced:
       return RegistryError(RegistryErrorCode::fenced,
                            what + ": its fence is gone: what it was to depend on does not hold any more");
