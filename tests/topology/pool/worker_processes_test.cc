@@ -303,7 +303,7 @@ TEST_F(WorkerProcessesTest, AnOlderSignedLibraryThanOneThatRanRunsOnlyForATopolo
   };
   auto older = signed_as(1);
   const auto newer = signed_as(2), bare = send("a library", security::sign(lab.private_pem, "lab", "a library"));
-  const auto refusal_by = [this](WorkerProcesses& workers, const WorkerOrder& wanted) -> std::string {
+  const auto refusal_by = [](WorkerProcesses& workers, const WorkerOrder& wanted) -> std::string {
     Told told;
     try {
       const auto link = workers.start(wanted, told.events());
