@@ -67,7 +67,7 @@ def topology_yaml(out, library):
     spouts, bolts = [], []
     for name, broker, _, _ in JAVA_DRIVERS:
         spouts.append(f"  from_{name}: {{broker: {broker.lower()}, driver: {name}, channel: data, "
-                      "fields: [data, driverID, time, gatewayID, {property: battery}]}")
+                      "fields: [data, driverID, time, gatewayID, {property: battery}, redelivered]}")
         bolts.append(f"  tally_{name}: {{class: test.Tally, parallelism: 1, conf: {{report: {tally_of(out, name)}, gateway: java-site}}, "
                      f"inputs: {{from: from_{name}}}}}")
         bolts.append(f"  to_{name}: {{broker: {broker.lower()}, driver: {name}, channel: control, "

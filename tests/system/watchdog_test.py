@@ -61,6 +61,11 @@ class Track:
         rows = self.rows()
         return [row for before, row in zip(rows, rows[1:]) if row["commands"] > before["commands"]]
 
+    def last_command(self):
+        """The row in which the last command came, behind the one before it."""
+        rows = self.rows()
+        return [pair for pair in zip(rows, rows[1:]) if pair[1]["commands"] > pair[0]["commands"]][-1]
+
 
 def still_after(track, row):
     """Seconds from that row until the base stands still."""
@@ -123,13 +128,15 @@ class Robot(PrivateCluster):
     def base_must_stop(self, what):
         """Checks that the base stops by itself, without a command."""
         wait_for(f"the robot stands still after {what} was killed", self.track.is_still)
-        last = self.track.commands()[-1]
+        before, last = self.track.last_command()
         still = still_after(self.track, last)
         print(f"{what} killed at {last['linear']:.2f} m/s: nobody told it, still {still * 1000:.0f} ms after the last "
               "command", flush=True)
         require(last["asked_linear"] != 0 or last["asked_angular"] != 0, f"somebody told it to be still: {last}")
         # Until then it obeys its last command and may become faster.
-        require(still >= BASE_S, f"it was still after {still:.3f} s already, not {BASE_S} s after its last command")
+        # The command came between these rows, which a busy machine writes late.
+        longest = still + last["time_s"] - before["time_s"]
+        require(longest >= BASE_S, f"it was still after {longest:.3f} s already, not {BASE_S} s after its last command")
         judge(self.given, "still_late_s", still - BASE_S - max(braking_time(row) for row in self.track.rows()))
 
     def must_go_on(self, what):
