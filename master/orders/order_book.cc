@@ -79,6 +79,7 @@ OrderResult refuse_gateway(const GatewayId& id, const std::vector<GatewayStatus>
     return refuse(OrderRefusal::unknown_gateway,
                   "no gateway is registered: start iotcloud-gateway with the same registry and zk.root");
   std::vector<GatewayId> ids;
+  ids.reserve(known.size());
   for (const auto& gateway : known) ids.push_back(gateway.record.id);
   return refuse(OrderRefusal::unknown_gateway,
                 fmt::format("no gateway \"{}\"; known gateways: {}", id, fmt::join(ids, ", ")));

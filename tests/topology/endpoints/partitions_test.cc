@@ -246,7 +246,7 @@ TEST_F(KafkaPartitions, WithOneNumberOfAllChannelsOfADriverAreReadInOneWorkerAnd
   show({"up", "side"});
   start("one", 2, {"up", "side"});
   start("two", 2, {"up", "side"});
-  ASSERT_TRUE(until_tasks_read(2 * partitions));
+  ASSERT_TRUE(until_tasks_read(std::size_t{2} * partitions));
   send_round();  // the one before may have come while a partition moved from one worker to the other
   ASSERT_TRUE(eventually([&] {
     std::set<std::pair<std::string, std::string>> read;

@@ -31,7 +31,7 @@ class Check : public testing::Test {
   ~Check() override { fs::remove_all(folder_); }
 
   std::string write(const std::string& text) const {
-    const std::string file = folder_ / "t.yaml";
+    std::string file = folder_ / "t.yaml";
     std::ofstream(file) << text;
     return file;
   }
