@@ -26,9 +26,11 @@ std::optional<Record> record_of(const std::optional<Node>& node, const std::stri
 }
 
 /// The paths of all children of each of `parents`, in order.
-std::vector<std::string> below(Registry& registry, const std::vector<std::string>& parents) {
+std::vector<std::string> below(Registry& registry, const std::vector<std::string>& parents,
+                               Unreadable unreadable = Unreadable::left_out) {
   std::vector<std::string> paths;
-  const auto lists = registry.children_of_readable(parents);
+  const auto lists =
+      unreadable == Unreadable::throws ? registry.children_of_all(parents) : registry.children_of_readable(parents);
   for (std::size_t i = 0; i < parents.size(); ++i) {
     for (const std::string& name : lists[i].value_or(std::vector<std::string>())) {
       paths.push_back(child_of(parents[i], name));
@@ -141,8 +143,7 @@ std::vector<PlacedOrder> list_orders(Registry& registry, const Paths& paths, con
   parents.reserve(ids.size());
   for (const GatewayId& id : ids) parents.push_back(paths.orders(id));
   std::vector<PlacedOrder> orders;
-  if (unreadable == Unreadable::throws) registry.children_of_all(parents);
-  const auto places = below(registry, parents);
+  const auto places = below(registry, parents, unreadable);
   const auto nodes = unreadable == Unreadable::throws ? registry.get_all(places) : registry.get_readable(places);
   for (std::size_t i = 0; i < places.size(); ++i) {
     if (auto order = record_of(nodes[i], places[i], decode_order)) {
