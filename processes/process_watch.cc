@@ -135,6 +135,7 @@ bool ProcessWatch::send_waiting() {
 bool ProcessWatch::receive() {
   const auto bytes = receive_some(socket_);
   if (!bytes) return false;
+  asked_ = false;
   frames_.feed(bytes->data(), bytes->size());
   while (const auto body = frames_.next()) events_.on_frame(*body);
   return true;
@@ -144,7 +145,8 @@ void ProcessWatch::ping() {
   const auto now = Steady::now();
   if (now < next_ping_) return;
   next_ping_ = now + options_.ping_period;
-  events_.on_ping();
+  // A process that does not read is not asked again: its socket would be full one day, and it would count as gone.
+  if (!std::exchange(asked_, true)) events_.on_ping();
   const std::string excess = vitals_.examine(now);
   if (!excess.empty()) kill(excess);
 }

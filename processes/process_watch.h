@@ -94,6 +94,7 @@ class ProcessWatch {
   OwnedDescriptor socket_;
   FrameReader frames_;
   Instant next_ping_;
+  bool asked_ = false;  ///< it has said nothing since the last ping; only the thread uses it
   std::string killed_;
   Vitals vitals_;
 

@@ -97,7 +97,7 @@ class WorkerProcessesTest : public testing::Test {
     options.store = store_;
     options.trust = trust_;
     options.program = POOLED_PROGRAM;
-    options.ping_period = ping_period_;
+    options.ping_period = 20ms;
     options.hang_limit = hang_limit_;
     options.call_limit = call_limit_;
     options.confinement = confinement_;
@@ -118,7 +118,7 @@ class WorkerProcessesTest : public testing::Test {
     return names;
   }
 
-  std::chrono::milliseconds ping_period_ = 20ms, hang_limit_ = tests::patience, call_limit_ = 0ms;
+  std::chrono::milliseconds hang_limit_ = tests::patience, call_limit_ = 0ms;
   processes::Confinement confinement_;
   bool require_version_ = false;
   std::string folder_, state_;
@@ -177,8 +177,7 @@ TEST_F(WorkerProcessesTest, AConfinedWorkerReachesItsOwnFolderAndNoFileOfThePool
 }
 
 TEST_F(WorkerProcessesTest, KillsAWorkerThatHangs) {
-  hang_limit_ = 10s;     // in which a busy machine starts it
-  ping_period_ = 200ms;  // what it does not read of so many fits into its socket
+  hang_limit_ = 10s;  // in which a busy machine starts it; 500 pings, more than a socket holds
   const auto workers = make();
   const auto link = workers->start(order("stand still"), told_.events());
   EXPECT_EQ(told_.ending().how, How::failed);
