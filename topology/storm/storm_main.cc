@@ -104,8 +104,6 @@ void Words::declare(CLI::App& app) {
   CLI::App* submit = of_cluster(with_file(add(app, "submit", "send a topology to Storm, and wait until it runs",
                                               [&] { return storm::submit(call, file, workers, seconds(limit_s)); })));
   submit->add_option("--workers", workers, "worker processes")->check(CLI::Range(1, 10'000));
-  submit->add_option("--limit", limit_s, "seconds in which all tasks must run; 0: do not wait")
-      ->check(CLI::Range(0, 3600));
   of_cluster(add(app, "list", "the topologies of the cluster", [&] { return storm::list(call); }));
   of_topology(add(app, "show", "a topology's executors, and where they run", [&] { return storm::show(call, name); }));
   of_topology(add(app, "metrics", "counts of a topology's components", [&] {
@@ -115,8 +113,8 @@ void Words::declare(CLI::App& app) {
       add(app, "errors", "errors that a topology's components reported", [&] { return storm::errors(call, name); }));
   of_topology(add(app, "activate", "let the spouts go on", [&] { return storm::set_active(call, name, true); }));
   of_topology(add(app, "deactivate", "let the spouts pause", [&] { return storm::set_active(call, name, false); }));
-  CLI::App* rebalance = of_topology(add(app, "rebalance", "change the number of workers or executors", [&] {
-    return storm::rebalance(call, name, workers, executors_of(executors), seconds(wait_s));
+  CLI::App* rebalance = of_topology(add(app, "rebalance", "change the number of workers or executors, and wait until they run", [&] {
+    return storm::rebalance(call, name, workers, executors_of(executors), seconds(wait_s), seconds(limit_s));
   }));
   rebalance->add_option("COMPONENT=EXECUTORS", executors, "how many tasks of a component may run at the same time");
   rebalance->add_option("--workers", workers, "worker processes")->check(CLI::Range(1, 10'000));
@@ -128,6 +126,10 @@ void Words::declare(CLI::App& app) {
       ->check(CLI::Range(0, 86'400));
   CLI::App* kill =
       of_topology(add(app, "kill", "end a topology", [&] { return storm::kill(call, name, seconds(wait_s)); }));
+  for (CLI::App* made : {submit, rebalance}) {
+    made->add_option("--limit", limit_s, "seconds in which all tasks must run; 0: do not wait")
+        ->check(CLI::Range(0, 3600));
+  }
   for (CLI::App* made : {rebalance, kill}) {
     made->add_option("--wait", wait_s, "seconds in which what is under way may be finished, before the workers end")
         ->check(CLI::Range(0, 3600));

@@ -2,6 +2,8 @@
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
+#include <functional>
+#include <map>
 #include <set>
 #include <thread>
 
@@ -127,30 +129,62 @@ std::string not_running(const TopologyDetails& details) {
   return "tasks of " + names + " do not run yet";
 }
 
-/// Waits until all tasks run. \throws NimbusError that says why they do not.
-TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name, seconds limit) {
+bool all_report(const TopologyDetails& details) {
+  return !details.executors.empty() && std::all_of(details.executors.begin(), details.executors.end(),
+                                                   [](const RunningExecutor& executor) { return executor.reported; });
+}
+
+/// Waits until all tasks run. \param done what the topology was told, for messages. \param goes_on whether what Nimbus
+/// says is about the workers that are to run, and not those of before. \throws NimbusError that says why they do not
+/// run, for one when a component reports an error that is not among those `of_before`.
+TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name, const std::string& done, seconds limit,
+                                   const std::vector<ReportedError>& of_before,
+                                   const std::function<bool(const TopologyDetails&)>& goes_on) {
   const auto end = std::chrono::steady_clock::now() + limit;
   auto all_reported = std::chrono::steady_clock::time_point::max();
   while (true) {
     TopologyDetails details = details_of(nimbus, name);
-    if (!details.errors.empty()) {
-      const ReportedError& first = details.errors.back();
+    const auto first = std::find_if(details.errors.rbegin(), details.errors.rend(), [&](const ReportedError& error) {
+      return std::find(of_before.begin(), of_before.end(), error) == of_before.end();
+    });
+    if (first != details.errors.rend()) {
       throw NimbusError(
           fmt::format("{} does not run: its component {} says: {} ({}:{}); `iotcloud-storm kill {}` ends it", name,
-                      first.component, first.text, first.host, first.port, name));
+                      first->component, first->text, first->host, first->port, name));
     }
     const auto now = std::chrono::steady_clock::now();
-    const bool reported =
-        !details.executors.empty() && std::all_of(details.executors.begin(), details.executors.end(),
-                                                  [](const RunningExecutor& executor) { return executor.reported; });
-    if (reported) all_reported = std::min(all_reported, now);
-    if (reported && now - all_reported >= after_reports) return details;
+    const bool running = goes_on(details) && all_report(details);
+    all_reported = running ? std::min(all_reported, now) : std::chrono::steady_clock::time_point::max();
+    if (running && now - all_reported >= after_reports) return details;
     if (now >= end) {
-      throw NimbusError(fmt::format("{} was submitted, but not all of it ran within {} s: {}", name, limit.count(),
-                                    not_running(details)));
+      throw NimbusError(fmt::format("{} was {}, but not all of it ran within {} s: {}", name, done, limit.count(),
+                                    goes_on(details) ? not_running(details) : "Nimbus has not changed its workers yet"));
     }
     std::this_thread::sleep_for(look_pause);
   }
+}
+
+/// The executors of each worker (host and port), by their first tasks.
+using Placement = std::map<std::pair<std::string, int>, std::set<int>>;
+
+Placement placement_of(const TopologyDetails& details) {
+  Placement placement;
+  for (const auto& executor : details.executors)
+    placement[{executor.host, executor.port}].insert(executor.first_task);
+  return placement;
+}
+
+/// Whether what Nimbus says of executors is of the workers since a rebalance, `passed` ago: a worker whose executors
+/// are others than before is a new process, and Nimbus may still have the last report of the old one.
+bool is_of_new_workers(const TopologyDetails& details, const Placement& before, seconds passed) {
+  if (details.topology.status == "REBALANCING") return false;
+  const Placement now = placement_of(details);
+  return std::all_of(details.executors.begin(), details.executors.end(), [&](const RunningExecutor& executor) {
+    const auto worker = std::make_pair(executor.host, executor.port);
+    const auto was = before.find(worker);
+    const bool is_kept = was != before.end() && was->second == now.at(worker);
+    return is_kept || executor.uptime_s <= passed.count();
+  });
 }
 
 /// The tasks of its own components, without Storm's.
@@ -194,7 +228,8 @@ int submit(const StormCall& call, const std::string& file, std::optional<int> wo
     fmt::print("{} was submitted to {}\n", job.name, nimbus.leader());
     return 0;
   }
-  const TopologyDetails details = wait_until_running(nimbus, job.name, limit);
+  const TopologyDetails details =
+      wait_until_running(nimbus, job.name, "submitted", limit, {}, [](const TopologyDetails&) { return true; });
   fmt::print("{} runs: {} tasks in {} workers\n", job.name, tasks_of(details), workers_of(details));
   return 0;
 }
@@ -276,10 +311,26 @@ int set_active(const StormCall& call, const std::string& name, bool active) {
 }
 
 int rebalance(const StormCall& call, const std::string& name, std::optional<int> workers,
-              const std::map<std::string, int>& executors, seconds wait) {
+              const std::map<std::string, int>& executors, seconds wait, seconds limit) {
   auto nimbus = connect(call);
+  const TopologyDetails before = details_of(nimbus, name);
+  const auto began = std::chrono::steady_clock::now();
   nimbus.rebalance(name, workers, executors, wait);
-  fmt::print("{} is rebalanced in {} s\n", name, wait.count());
+  if (limit.count() == 0) {
+    fmt::print("{} is rebalanced in {} s\n", name, wait.count());
+    return 0;
+  }
+  const Placement placement = placement_of(before);
+  const TopologyDetails details =
+      wait_until_running(nimbus, name, "told to rebalance", wait + limit, before.errors,
+                         [&](const TopologyDetails& now) {
+                           const auto passed = std::chrono::steady_clock::now() - began;
+                           return is_of_new_workers(now, placement, std::chrono::duration_cast<seconds>(passed));
+                         });
+  if (workers && workers_of(details) != static_cast<std::size_t>(*workers))
+    note(fmt::format("it has {} workers and not {}: are there free slots, and as many executors?", workers_of(details),
+                     *workers));
+  fmt::print("{} runs: {} tasks in {} workers\n", name, tasks_of(details), workers_of(details));
   return 0;
 }
 

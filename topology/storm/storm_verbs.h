@@ -26,8 +26,10 @@ int show(const StormCall& call, const std::string& name);
 int metrics(const StormCall& call, const std::string& name, const std::string& window);
 int errors(const StormCall& call, const std::string& name);
 int set_active(const StormCall& call, const std::string& name, bool active);
+/// \param wait for how long the spouts pause before the workers change
+/// \param limit for how long, after that, it waits until all tasks run; 0: not at all
 int rebalance(const StormCall& call, const std::string& name, std::optional<int> workers,
-              const std::map<std::string, int>& executors, std::chrono::seconds wait);
+              const std::map<std::string, int>& executors, std::chrono::seconds wait, std::chrono::seconds limit);
 /// \param levels by logger's name; empty: as before. \param time_out after which they are as before; 0: none
 int set_log_levels(const StormCall& call, const std::string& name, const std::map<std::string, std::string>& levels,
                    std::chrono::seconds time_out);

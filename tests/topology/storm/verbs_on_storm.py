@@ -102,8 +102,11 @@ class VerbsOnStorm(StormCase):
         self.check_metrics()
         self.check_activation()
         for count in (1, 4):
-            self.ask("rebalance", "steady", "--workers", str(count), "--wait", "1")
-            self.wait_for("%d workers" % count, lambda n=count: self.has_workers(n))
+            said = self.ask("rebalance", "steady", "--workers", str(count), "--wait", "1", "--limit", str(self.limit_s))
+            self.assertRegex(said, r"steady runs: \d+ tasks in %d workers" % count)
+            rows = self.table("show", "steady")
+            self.assertEqual((len({row["worker"] for row in rows}), {row["runs"] for row in rows}), (count, {True}))
+            self.wait_for("only %d workers" % count, lambda n=count: self.has_workers(n))
             self.wait_for_more("in %d workers" % count)
         self.check_log_level()
         self.check_crash()
@@ -185,7 +188,8 @@ class VerbsOnStorm(StormCase):
         said, _ = waiting.communicate()
         self.assertEqual(waiting.returncode, 0)
         self.assertIn("steady", said)
-        self.ask("rebalance", "steady", "--workers", "2", "--wait", "1")
+        self.assertIn("steady is rebalanced in 1 s",
+                      self.ask("rebalance", "steady", "--workers", "2", "--wait", "1", "--limit", "0"))
         self.wait_for("two workers", lambda: self.has_workers(2))
         again = self.out / "again"
         again.mkdir()

@@ -51,6 +51,8 @@ struct ReportedError {
   std::int64_t at_s = 0;  ///< since 1970 UTC
   std::string host;
   int port = 0;
+
+  bool operator==(const ReportedError&) const = default;
 };
 
 /// The counts of a component in all its tasks, as Storm samples them.
