@@ -1,5 +1,6 @@
 // What a task's C++ side makes of the calls of Java: a test plays Java, and reads the commands.
 #include <atomic>
+#include <chrono>
 #include <cstring>
 #include <functional>
 #include <memory>
@@ -111,6 +112,15 @@ std::uint64_t counted(const std::string& name) {
       .value();
 }
 
+/// A histogram of the task's, in this process's metrics.
+config::Histogram::Summary timed(const std::string& name) {
+  const TaskDescription task = described();
+  return config::process_metrics()
+      .histogram(name, "",
+                 {{"topology", task.topology}, {"component", task.component}, {"task", std::to_string(task.task)}})
+      .summary();
+}
+
 std::vector<std::byte> bytes_of(const Values& values) {
   std::vector<std::byte> bytes(encoded_size(values.all()));
   encode_values(values.all(), bytes.data());
@@ -175,6 +185,14 @@ TEST(StormBoltHost, EmitsAnchoredAndAcks) {
   });
   EXPECT_THAT(task.execute(7, Values("hello")),
               ElementsAre("emit stream 1 @7: hello!", "emit stream 1: alone", "emit stream 0 task 6 @7: six", "ack 7"));
+}
+
+TEST(StormBoltHost, TimesEachCallOfExecute) {
+  const auto before = timed("iotcloud_task_execute_seconds").count;
+  BoltTask task([](const Tuple& tuple, OutputCollector& out) { out.ack(tuple); });
+  task.execute(1, Values("x"));
+  task.execute(2, Values("x"));
+  EXPECT_EQ(timed("iotcloud_task_execute_seconds").count, before + 2);
 }
 
 TEST(StormBoltHost, KnowsItsPlaceInTheTopology) {
@@ -387,7 +405,11 @@ TEST(StormSpoutHost, EmitsAndIsWoken) {
   SpoutHost host(described(), Component{spec}, java.buffer(), java);
   java.apply(host.open());
   for (int i = 0; i < 3; ++i) java.apply(host.next_tuple());
-  java.apply(host.ack(5));
+  const auto before = timed("iotcloud_spout_complete_seconds").count;
+  java.apply(host.ack(5, std::chrono::milliseconds(3)));
+  const auto complete = timed("iotcloud_spout_complete_seconds");
+  EXPECT_EQ(complete.count, before + 1);
+  EXPECT_GE(complete.max_ns, 2.9e6);
   EXPECT_THAT(java.taken(), ElementsAre("emit stream 1 id 5: tracked", "emit stream 1: untracked",
                                         "error next_tuple() threw: no more", "emit stream 1 id 6: acked"));
   spout->waker.wake();

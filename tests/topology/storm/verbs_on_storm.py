@@ -142,6 +142,8 @@ class VerbsOnStorm(StormCase):
         self.assertEqual(len(pages), 2)
         texts = [urllib.request.urlopen(page, timeout=60).read().decode() for page in pages]
         self.assertEqual([bool(re.search(r"^test_emissions_total [1-9]", text, re.M)) for text in texts].count(True), 1)
+        for name in ("iotcloud_spout_complete_seconds", "iotcloud_task_execute_seconds"):
+            self.assertTrue(any(re.search(r"^%s_count\S* [1-9]" % name, text, re.M) for text in texts), name)
         self.assertGreater(float(rows["count"]["execute_ms"]) + float(rows["numbers"]["complete_ms"]), 0)
 
     def check_activation(self):

@@ -76,6 +76,7 @@ class BoltHost final : public TaskHost, private OutputCollector {
   AnswerQueue& queue_;
   config::Counter& late_;
   config::Counter& superseded_;
+  config::Histogram& execute_;
   std::vector<detail::StreamInfo> streams_;  ///< of the inputs
   std::vector<std::int64_t> deadlines_ns_;   ///< of the inputs; 0: none
   const detail::StreamInfo tick_stream_{system_component, tick_stream, {}};

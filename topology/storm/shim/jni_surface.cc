@@ -279,8 +279,11 @@ JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_nextTuple(JNIEnv* env, jclass,
   return guarded(env, [&] { return static_cast<jint>(task_at(handle).spout->next_tuple()); });
 }
 
-JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_ack(JNIEnv* env, jclass, jlong handle, jlong id) {
-  return guarded(env, [&] { return static_cast<jint>(task_at(handle).spout->ack(static_cast<std::uint64_t>(id))); });
+JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_ack(JNIEnv* env, jclass, jlong handle, jlong id, jlong took) {
+  return guarded(env, [&] {
+    return static_cast<jint>(
+        task_at(handle).spout->ack(static_cast<std::uint64_t>(id), std::chrono::nanoseconds(took)));
+  });
 }
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_fail(JNIEnv* env, jclass, jlong handle, jlong id) {

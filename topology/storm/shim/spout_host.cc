@@ -18,7 +18,8 @@ class ExecutorWaker final : public SpoutWaker::Target {
 }  // namespace
 
 SpoutHost::SpoutHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink)
-    : TaskHost(task, std::move(component), buffer, sink), waker_(std::make_shared<ExecutorWaker>(sink)) {
+    : TaskHost(task, std::move(component), buffer, sink), waker_(std::make_shared<ExecutorWaker>(sink)),
+      complete_(histogram("iotcloud_spout_complete_seconds", "From emit to the ack of the whole tree")) {
   context_.waker = SpoutWaker(waker_);
   spout_ = spec_.spout();
 }
@@ -47,7 +48,8 @@ std::size_t SpoutHost::deactivate() {
 std::size_t SpoutHost::next_tuple() {
   return run("next_tuple()", [this] { spout_->next_tuple(); });
 }
-std::size_t SpoutHost::ack(MessageId id) {
+std::size_t SpoutHost::ack(MessageId id, std::chrono::nanoseconds took) {
+  complete_.record_ns(took.count());
   return run("ack()", [&] { spout_->ack(id); });
 }
 std::size_t SpoutHost::fail(MessageId id) {

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <memory>
 #include <string>
@@ -17,7 +18,8 @@ class SpoutHost final : public TaskHost, private SpoutOutputCollector {
   std::size_t activate();
   std::size_t deactivate();
   std::size_t next_tuple();
-  std::size_t ack(MessageId id);
+  /// \param took since the message was emitted
+  std::size_t ack(MessageId id, std::chrono::nanoseconds took);
   std::size_t fail(MessageId id);
 
  private:
@@ -30,6 +32,7 @@ class SpoutHost final : public TaskHost, private SpoutOutputCollector {
 
   std::shared_ptr<SpoutWaker::Target> waker_;
   std::unique_ptr<Spout> spout_;
+  config::Histogram& complete_;
 };
 
 }  // namespace iotcloud::topology::storm

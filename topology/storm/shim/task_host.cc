@@ -51,9 +51,15 @@ TaskHost::TaskHost(const TaskDescription& task, Component component, std::span<s
 }
 
 config::Counter& TaskHost::counter(const std::string& name, const std::string& help) const {
-  return context_.metrics->counter(
-      name, help,
-      {{"topology", context_.topology}, {"component", context_.component}, {"task", std::to_string(context_.task)}});
+  return context_.metrics->counter(name, help, labels());
+}
+
+config::Histogram& TaskHost::histogram(const std::string& name, const std::string& help) const {
+  return context_.metrics->histogram(name, help, labels());
+}
+
+config::Labels TaskHost::labels() const {
+  return {{"topology", context_.topology}, {"component", context_.component}, {"task", std::to_string(context_.task)}};
 }
 
 std::size_t TaskHost::open() {

@@ -64,8 +64,9 @@ class TaskHost {
     return false;
   }
 
-  /// A counter of this task among the process's metrics.
+  /// A counter or histogram of this task among the process's metrics.
   config::Counter& counter(const std::string& name, const std::string& help) const;
+  config::Histogram& histogram(const std::string& name, const std::string& help) const;
   /// The stream of that name, checked as our runtime checks it: the number of values, and the task of a direct stream.
   /// \throws std::invalid_argument when they do not fit.
   std::uint16_t checked_stream(std::string_view name, const Values& values, int task) const;
@@ -84,6 +85,7 @@ class TaskHost {
   CommandWriter commands_;
 
  private:
+  config::Labels labels() const;
   void write_error(std::string_view what, std::string_view why);
 };
 

@@ -55,12 +55,14 @@ public class CppSpout implements ISpout {
 
   @Override
   public void ack(Object id) {
-    answer(() -> Native.ack(task.handle, (Long) id));
+    Sent sent = (Sent) id;
+    long took = System.nanoTime() - sent.at;
+    answer(() -> Native.ack(task.handle, sent.id, took));
   }
 
   @Override
   public void fail(Object id) {
-    answer(() -> Native.fail(task.handle, (Long) id));
+    answer(() -> Native.fail(task.handle, ((Sent) id).id));
   }
 
   @Override
@@ -98,6 +100,16 @@ public class CppSpout implements ISpout {
     }
   }
 
+  /** The component's id of a message, as Storm keeps it. */
+  private static final class Sent {
+    final long id;
+    final long at = System.nanoTime();
+
+    Sent(long id) {
+      this.id = id;
+    }
+  }
+
   /** Applies the component's commands. */
   private static final class Emitter implements NativeTask.Collector {
     private final SpoutOutputCollector collector;
@@ -113,10 +125,11 @@ public class CppSpout implements ISpout {
 
     @Override
     public void emit(String stream, int to, Long id, List<Object> values) {
+      Sent sent = id == null ? null : new Sent(id);
       if (to < 0) {
-        collector.emit(stream, values, id);
+        collector.emit(stream, values, sent);
       } else {
-        collector.emitDirect(to, stream, values, id);
+        collector.emitDirect(to, stream, values, sent);
       }
     }
 

@@ -86,7 +86,8 @@ final class Native {
 
   static native int nextTuple(long task);
 
-  static native int ack(long task, long id);
+  /** `took`: nanoseconds since the message was emitted. */
+  static native int ack(long task, long id, long took);
 
   static native int fail(long task, long id);
 
