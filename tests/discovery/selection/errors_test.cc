@@ -135,13 +135,13 @@ TEST(SelectionErrors, AreAllThatHostileTextCanCause) {
                                         "km",       "exists(",  "contains(",
                                         "\xc3\xa4", "\x80",     std::string(1, '\0')};
   std::mt19937 random(20261121);
-  for (int round = 0; round < 20'000; ++round) {
+  for (int round = 0; round < 2'000; ++round) {
     std::string text;
     for (auto count = random() % 24; count > 0; --count) text += pieces[random() % pieces.size()];
     try_it(text);
   }
   const std::string good = "site == \"lab\" and (battery > 20 or not a in [1, 'b']) and within(location, 1, 2, 5 m)";
-  for (int round = 0; round < 20'000; ++round) {
+  for (int round = 0; round < 2'000; ++round) {
     std::string text = good;
     for (auto count = 1 + random() % 3; count > 0; --count) text[random() % text.size()] = static_cast<char>(random());
     try_it(text.substr(0, random() % 8 == 0 ? random() % text.size() : text.size()));
