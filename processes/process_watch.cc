@@ -105,17 +105,19 @@ bool ProcessWatch::connect() {
 void ProcessWatch::converse() {
   Silence silence(Steady::now(), std::min(2 * options_.ping_period, options_.hang_limit / 2));
   while (!leaving_) {
-    std::array<pollfd, 3> on{{{socket_.get(), POLLIN, 0}, {waker_.get(), POLLIN, 0}, {process_.ended(), POLLIN, 0}}};
+    const auto wanted = static_cast<short>(outbox_.empty() ? POLLIN : POLLIN | POLLOUT);
+    std::array<pollfd, 3> on{{{socket_.get(), wanted, 0}, {waker_.get(), POLLIN, 0}, {process_.ended(), POLLIN, 0}}};
     const auto left = std::chrono::ceil<milliseconds>(next_ping_ - Steady::now());
     poll(on.data(), on.size(), static_cast<int>(std::clamp(left, milliseconds{0}, options_.ping_period).count()));
     if (leaving_) return;
     if (on[1].revents != 0) waker_.clear();
-    if (!send_waiting()) return;
-    if (on[0].revents != 0) {
+    const bool says_something = (on[0].revents & ~POLLOUT) != 0;
+    if (says_something) {
       if (!receive()) return;
       silence.heard();
     }
-    if (on[0].revents == 0 && on[2].revents != 0) return;  // it has ended and nothing is left to read
+    if (!says_something && on[2].revents != 0) return;  // it has ended and nothing is left to read
+    if (!send_waiting()) return;
     ping();
     if (overdue(silence.measure(Steady::now()))) return;
   }
@@ -123,12 +125,12 @@ void ProcessWatch::converse() {
 
 /// \return false if the process is gone.
 bool ProcessWatch::send_waiting() {
-  std::vector<std::string> now;
   {
     const config::MutexLock lock(mutex_);
-    now.swap(waiting_);
+    for (const auto& bytes : waiting_) outbox_.add(bytes);
+    waiting_.clear();
   }
-  return std::all_of(now.begin(), now.end(), [&](const auto& bytes) { return send_all(socket_, bytes); });
+  return outbox_.send(socket_);
 }
 
 /// \return false if the process is gone.

@@ -12,6 +12,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/frames.h>
+#include <iotcloud/processes/outbox.h>
 #include <iotcloud/processes/unix_socket.h>
 #include <iotcloud/processes/vitals.h>
 
@@ -93,6 +94,7 @@ class ProcessWatch {
   // Used on the watch's thread only.
   OwnedDescriptor socket_;
   FrameReader frames_;
+  Outbox outbox_;
   Instant next_ping_;
   bool asked_ = false;  ///< it has said nothing since the last ping; only the thread uses it
   std::string killed_;

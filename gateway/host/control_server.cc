@@ -16,6 +16,7 @@
 #include <iotcloud/gateway/host/logger.h>
 #include <iotcloud/gateway/host/protocol.h>
 #include <iotcloud/processes/frames.h>
+#include <iotcloud/processes/outbox.h>
 #include <iotcloud/processes/unix_socket.h>
 #include <iotcloud/security/sha256.h>
 
@@ -29,6 +30,7 @@ constexpr milliseconds stop_limit{4000};
 /// Connections that have not proved that they are the gateway's. With more than that the oldest is closed.
 constexpr std::size_t most_strangers = 16;
 constexpr std::size_t longest_proof = 4096;  ///< bytes of the first frame
+constexpr std::size_t most_unread = 64u << 20;  ///< bytes that wait for a gateway that stands still
 constexpr milliseconds log_pause{2000};      ///< the longest pause between checks of the log's size
 
 /// Whether a command of this kind is for instances, of which a host that refused its plugin has none.
@@ -116,6 +118,7 @@ struct ControlServer::Impl {
   processes::OwnedDescriptor listener;
   processes::OwnedDescriptor gateway;
   processes::FrameReader frames;
+  processes::Outbox outbox;  ///< for the gateway
   std::list<Stranger> strangers;
   processes::Waker waker;
   std::string refusal;
@@ -205,20 +208,23 @@ void ControlServer::Impl::greet() {
   hello.order = options.order;
   hello.answers = true;
   if (host) hello.instances = host->list();
-  bool taken = processes::send_all(gateway, encode(hello));
-  if (taken && !refusal.empty()) taken = processes::send_all(gateway, encode(protocol::PluginRefused{refusal}));
-  if (!taken) lose_gateway("it went at once");
+  outbox.add(encode(hello));
+  if (!refusal.empty()) outbox.add(encode(protocol::PluginRefused{refusal}));
+  if (!outbox.send(gateway)) lose_gateway("it went at once");
 }
 
 void ControlServer::Impl::send_waiting() {
   waker.clear();
-  std::vector<std::string> now;
   {
     const config::MutexLock lock(mutex);
-    now.swap(waiting);
+    for (const auto& bytes : waiting) outbox.add(bytes);
+    waiting.clear();
   }
-  for (const auto& bytes : now) {
-    if (gateway && !processes::send_all(gateway, bytes)) lose_gateway("it does not read");
+  if (!gateway) return;
+  if (!outbox.send(gateway)) {
+    lose_gateway("it does not read any more");
+  } else if (outbox.size() > most_unread) {
+    lose_gateway("it does not read what this host says");
   }
 }
 
@@ -249,6 +255,7 @@ void ControlServer::Impl::obey_all() {
 void ControlServer::Impl::lose_gateway(const char* why) {
   host_logger.warn("the gateway is gone ({}); this host goes on and waits for it", why);
   gateway.reset();
+  outbox.clear();
   {
     const config::MutexLock lock(mutex);
     connected = false;
@@ -276,6 +283,7 @@ void ControlServer::Impl::obey(const protocol::AskAboutChannel& command) {
 int ControlServer::Impl::stop(milliseconds limit) {
   const bool in_order = !host || host->stop(limit);
   send_waiting();
+  if (gateway) processes::send_all(gateway, outbox.take());
   return in_order ? 0 : 1;
 }
 
@@ -286,7 +294,8 @@ int ControlServer::run(int signals) {
     std::vector<pollfd> on{{self.listener.get(), POLLIN, 0},
                            {self.waker.get(), POLLIN, 0},
                            {signals, POLLIN, 0},
-                           {self.gateway.get(), POLLIN, 0}};  // poll() ignores descriptor -1
+                           // poll() ignores descriptor -1
+                           {self.gateway.get(), static_cast<short>(self.outbox.empty() ? POLLIN : POLLIN | POLLOUT), 0}};
     for (const auto& stranger : self.strangers) on.push_back({stranger.connection.get(), POLLIN, 0});
     auto pause = std::min(self.options.orphan_limit, log_pause);
     const auto lease = self.host ? self.host->enforce_leases() : std::nullopt;
@@ -295,8 +304,8 @@ int ControlServer::run(int signals) {
     poll(on.data(), on.size(), static_cast<int>(pause.count()));
     self.log_file.rotate_if_too_long();
     if (on[2].revents != 0) self.shutdown_limit = stop_limit;
-    if (on[1].revents != 0) self.send_waiting();
-    if (on[3].revents != 0 && self.gateway) self.receive();
+    if (on[1].revents != 0 || (on[3].revents & POLLOUT) != 0) self.send_waiting();
+    if ((on[3].revents & ~POLLOUT) != 0 && self.gateway) self.receive();
     auto strangers = std::exchange(self.strangers, {});
     for (std::size_t i = first_stranger; i < on.size(); ++i) {
       if (on[i].revents != 0) {
