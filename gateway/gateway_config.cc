@@ -72,19 +72,14 @@ void read_thrift(config::YamlSection& file, GatewayConfig& config) {
 }
 
 const processes::ConfinementWords& confinement_words() {
-  static const processes::ConfinementWords words{
-      "host_", "a gateway", "driver hosts", "a driver host",
-      "let systemd start them (host_starter: /run/iotcloud-host), or leave this out"};
+  static const processes::ConfinementWords words{"host_", "a gateway", "driver hosts", "a driver host",
+                                                 "iotcloud-host"};
   return words;
 }
 
 void read_confinement(config::YamlSection& file, ProcessLauncher::Options& hosts) {
-  hosts.starter = file.string_or("host_starter", "");
-  hosts.confinement = processes::read_confinement(file, confinement_words(), !hosts.starter.empty());
-  if (!hosts.starter.empty() && hosts.confinement.user.empty()) {
-    file.refuse("host_starter", "it starts driver hosts as a user of their own, which is not named",
-                "host_user: iotcloud-host");
-  }
+  hosts.starter = processes::read_starter(file, confinement_words());
+  hosts.confinement = processes::read_confinement(file, confinement_words(), hosts.starter);
   hosts.ports = processes::read_ports(file, confinement_words(), hosts.confinement);
 }
 

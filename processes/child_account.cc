@@ -32,9 +32,9 @@ Account checked(const std::string& user) {
   return account;
 }
 
-/// Gives the spools to the account, but only if the folder belongs to root: otherwise another user could replace
-/// entries by links while this runs.
-void give_spools(const std::string& folder, const Account& account) {
+/// Gives a folder to the account, but only if it belongs to root: otherwise another user could replace entries by links
+/// while this runs.
+void give_folder(const std::string& folder, const Account& account) {
   if (mkdir(folder.c_str(), S_IRWXU) != 0 && errno != EEXIST) throw failed(folder, "be made");
   struct stat status {};
   if (lstat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode)) {
@@ -56,9 +56,9 @@ void give_spools(const std::string& folder, const Account& account) {
 constexpr uid_t as_before = static_cast<uid_t>(-1);
 constexpr mode_t group_too = S_IRWXU | S_IRWXG;
 
-/// Lets the account's group use the spools as their owner does. The folder is opened to it last: until then nobody
-/// else can replace entries by links.
-void share_spools(const std::string& folder, const Account& account) {
+/// Lets the account's group use a folder as its owner does. The folder is opened to it last: until then nobody else can
+/// replace entries by links.
+void share_folder(const std::string& folder, const Account& account) {
   if (mkdir(folder.c_str(), S_IRWXU) != 0 && errno != EEXIST) throw failed(folder, "be made");
   struct stat status {};
   if (lstat(folder.c_str(), &status) != 0 || !S_ISDIR(status.st_mode) || status.st_uid != geteuid()) {
@@ -80,25 +80,33 @@ void share_spools(const std::string& folder, const Account& account) {
 
 ChildAccount::ChildAccount(const std::string& user, const std::string& state_folder)
     : gives_(geteuid() == 0), account_(checked(user)) {
-  // Whoever can connect to a host can run its drivers, but the hosts' sockets belong to this process's user.
+  // Whoever can connect to a process can give it orders, but the sockets there belong to this process's user.
   let_pass(state_folder);
-  if (gives_) {
-    give_spools(state_folder + "/spool", account_);
-  } else {
-    share_spools(state_folder + "/spool", account_);
-  }
 }
 
 void ChildAccount::let_pass(const std::string& folder) const {
   if (chown(folder.c_str(), gives_ ? 0 : as_before, account_.group) != 0 ||
       chmod(folder.c_str(), S_IRWXU | S_IXGRP) != 0) {
-    throw failed(folder, fmt::format("be made passable for the user {} (this gateway's user must be a member of its "
+    throw failed(folder, fmt::format("be made passable for the user {} (this daemon's user must be a member of its "
                                      "group)",
                                      account_.name));
   }
 }
 
-void ChildAccount::make_log(const std::string& file) const {
+void ChildAccount::let_use(const std::string& folder) const {
+  if (gives_) {
+    give_folder(folder, account_);
+  } else {
+    share_folder(folder, account_);
+  }
+}
+
+void ChildAccount::let_read(const std::string& file) const {
+  if (chown(file.c_str(), as_before, account_.group) != 0 || chmod(file.c_str(), owner_only | S_IRGRP) != 0)
+    throw failed(file, fmt::format("be made readable for the user {}", account_.name));
+}
+
+void ChildAccount::make_file(const std::string& file) const {
   const OwnedDescriptor made(open(file.c_str(), O_WRONLY | O_CREAT | O_APPEND | O_NOFOLLOW | O_CLOEXEC, owner_only));
   const bool given = made && (gives_ ? fchown(made.get(), account_.user, account_.group) == 0
                                      : fchown(made.get(), as_before, account_.group) == 0 &&
@@ -112,7 +120,7 @@ void ChildAccount::keep_within_bounds(const LogFile::Options& options) const {
   const OwnedDescriptor written(open(options.path.c_str(), O_WRONLY | O_NOFOLLOW | O_CLOEXEC));
   if (!written || !move_log(options, written.get())) return;
   try {
-    make_log(options.path);  // hosts that write to the old log notice the new one and switch to it
+    make_file(options.path);  // processes that write to the old log notice the new one and switch to it
   } catch (const config::Error& e) {
     logger.warn("{}", e.what());
   }

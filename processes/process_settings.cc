@@ -12,24 +12,30 @@ namespace iotcloud::processes {
 namespace {
 
 /// Whether this daemon can have processes of that account. \throws config::Error if not.
-void check_account(const std::string& user, const ConfinementWords& words, bool started_for_us) {
+void check_account(const std::string& user, const ConfinementWords& words, const std::string& starter) {
   const Account account = find_account(user);
   if (account.user == 0)
     throw config::Error(fmt::format("{} would run as root: name a user with no rights", words.processes));
-  if (started_for_us || geteuid() == 0 || geteuid() == account.user) return;
-  throw config::Error(fmt::format("only {} that runs as root can run its {} as {} itself; {}", words.daemon,
-                                  words.processes, user, words.instead_of_root));
+  if (!starter.empty() || geteuid() == 0 || geteuid() == account.user) return;
+  throw config::Error(fmt::format(
+      "only {} that runs as root can run its {} as {} itself; let systemd start them ({}starter: /run/{}), or leave "
+      "this out",
+      words.daemon, words.processes, user, words.prefix, words.unit));
 }
 
 }  // namespace
 
-Confinement read_confinement(config::YamlSection& file, const ConfinementWords& words, bool started_for_us) {
+std::string read_starter(config::YamlSection& file, const ConfinementWords& words) {
+  return file.string_or(words.prefix + "starter", "");
+}
+
+Confinement read_confinement(config::YamlSection& file, const ConfinementWords& words, const std::string& starter) {
   Confinement confinement;
   const auto key = [&](const char* name) { return words.prefix + name; };
   confinement.no_new_privileges = true;
   confinement.filter_calls = file.bool_or(key("call_filter"), true);
   confinement.debuggable = file.bool_or(key("debugging"), false);
-  if (!words.instead_of_root.empty()) confinement.user = file.string_or(key("user"), "");
+  confinement.user = file.string_or(key("user"), "");
   constexpr std::int64_t fewest_files = 64, most_files = 1 << 20;
   confinement.open_files = static_cast<std::uint64_t>(file.int_or(key("open_files"), 0, 0, most_files));
   if (confinement.open_files > 0 && confinement.open_files < fewest_files) {
@@ -49,9 +55,16 @@ Confinement read_confinement(config::YamlSection& file, const ConfinementWords& 
   if (geteuid() != 0 && confinement.open_files > now.rlim_max) {
     file.refuse(key("open_files"), fmt::format("only root may give more than the {} that this user has", now.rlim_max));
   }
-  if (confinement.user.empty()) return confinement;
+  if (confinement.user.empty()) {
+    if (!starter.empty()) {
+      file.refuse(key("starter"),
+                  fmt::format("it starts {} as a user of their own, which is not named", words.processes),
+                  fmt::format("{}: {}", key("user"), words.unit));
+    }
+    return confinement;
+  }
   try {
-    check_account(confinement.user, words, started_for_us);
+    check_account(confinement.user, words, starter);
   } catch (const config::Error& e) {
     file.refuse(key("user"), e.what());
   }

@@ -24,15 +24,17 @@ struct ConfinementWords {
   std::string daemon;     ///< "a gateway"
   std::string processes;  ///< "driver hosts"
   std::string one;        ///< "a driver host"
-  /// What to do instead of running the daemon as root, to have processes of another user; empty: they have the daemon's
-  /// user, and there is no key `<prefix>user`.
-  std::string instead_of_root;
+  /// The name of the shipped units by which systemd starts processes of another user, and of that user: "iotcloud-host"
+  std::string unit;
 };
+
+/// Reads `<prefix>starter`: the socket at which systemd starts processes as `<prefix>user`; empty: nowhere.
+std::string read_starter(config::YamlSection& file, const ConfinementWords& words);
 
 /// Reads `<prefix>user`, `<prefix>open_files`, `<prefix>processes`, `<prefix>files`, `<prefix>call_filter` and
 /// `<prefix>debugging`, and checks now, rather than when the first process is started, that this machine allows it.
-/// \param started_for_us somebody who may start processes of another user does so for this daemon
-Confinement read_confinement(config::YamlSection& file, const ConfinementWords& words, bool started_for_us);
+/// \param starter of read_starter()
+Confinement read_confinement(config::YamlSection& file, const ConfinementWords& words, const std::string& starter);
 
 /// Reads `<prefix>ports`, and checks that this machine can restrict connections.
 PortsByCode read_ports(config::YamlSection& file, const ConfinementWords& words, const Confinement& confinement);

@@ -122,12 +122,13 @@ int run(const OwnedDescriptor& connection, const std::string& program, StarterRe
 
 }  // namespace
 
-ProcessStarter::ProcessStarter(std::string socket) : socket_(std::move(socket)) {
+ProcessStarter::ProcessStarter(std::string socket, std::string unit)
+    : socket_(std::move(socket)), unit_(std::move(unit)) {
   if (access(socket_.c_str(), W_OK) != 0) {
     throw config::Error(
-        fmt::format("the socket {}, at which driver hosts are started, cannot be used: {}; systemctl enable --now "
-                    "iotcloud-host.socket makes it, for the user iotcloud-gateway",
-                    socket_, std::strerror(errno)));
+        fmt::format("the socket {}, at which processes of another user are started, cannot be used: {}; systemctl "
+                    "enable --now {}.socket makes it, for the user that its SocketUser= names",
+                    socket_, std::strerror(errno), unit_));
   }
 }
 
@@ -142,8 +143,8 @@ ProcessStarter::Started ProcessStarter::start(const std::vector<std::string>& ar
                                               const OwnedDescriptor& passed) const {
   OwnedDescriptor connection = connect();
   if (!connection) {
-    throw config::Error(fmt::format("nobody starts a process at {}: {}; is iotcloud-host.socket active?", socket_,
-                                    std::strerror(errno)));
+    throw config::Error(
+        fmt::format("nobody starts a process at {}: {}; is {}.socket active?", socket_, std::strerror(errno), unit_));
   }
   const StarterRequest request{StarterRequest::Kind::run, arguments, environment};
   if (send_with(connection, encode(request), {log.get(), passed.get()})) {
@@ -156,8 +157,7 @@ ProcessStarter::Started ProcessStarter::start(const std::vector<std::string>& ar
       return {answer->number, std::move(connection)};
     }
   }
-  throw config::Error(
-      fmt::format("no process was started at {}; journalctl -u 'iotcloud-host@*' may say why", socket_));
+  throw config::Error(fmt::format("no process was started at {}; journalctl -u '{}@*' may say why", socket_, unit_));
 }
 
 bool ProcessStarter::kill(int pidfd) const noexcept try {
@@ -184,11 +184,11 @@ int serve_starter(OwnedDescriptor connection, const std::string& program) try {
   FrameReader frames;
   auto descriptors = receive_first(connection, frames);
   const auto body = next_body(connection, frames, answer_limit);
-  if (!body) throw config::Error("a request of the gateway did not come whole");
+  if (!body) throw config::Error("a request did not come whole");
   StarterRequest request = decode_request(*body);
   if (descriptors.size() != request.descriptors()) {
-    throw config::Error(fmt::format("a request of the gateway came with {} descriptors instead of {}",
-                                    descriptors.size(), request.descriptors()));
+    throw config::Error(
+        fmt::format("a request came with {} descriptors instead of {}", descriptors.size(), request.descriptors()));
   }
   if (request.kind == StarterRequest::Kind::run) {
     return run(connection, program, std::move(request), std::move(descriptors));

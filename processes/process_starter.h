@@ -10,12 +10,13 @@ namespace iotcloud::processes {
 
 /// Starts processes under another account, on behalf of a daemon that has no rights to do so. systemd does it: it
 /// listens on a Unix socket that only the daemon may reach, and runs serve_starter() under the other account for each
-/// connection (iotcloud-host.socket, iotcloud-host@.service). Nothing of this project needs a capability for it.
-/// Thread safe.
+/// connection (iotcloud-host.socket with iotcloud-host@.service for driver hosts, iotcloud-worker.socket with
+/// iotcloud-worker@.service for workers). Nothing of this project needs a capability for it. Thread safe.
 class ProcessStarter {
  public:
-  /// \param socket the path of systemd's socket. \throws config::Error if this process may not connect to it.
-  explicit ProcessStarter(std::string socket);
+  /// \param socket the path of systemd's socket. \param unit the name of the units, "iotcloud-host", for messages.
+  /// \throws config::Error if this process may not connect to it.
+  ProcessStarter(std::string socket, std::string unit);
 
   /// A process that was started.
   struct Started {
@@ -35,7 +36,7 @@ class ProcessStarter {
  private:
   OwnedDescriptor connect() const;
 
-  const std::string socket_;
+  const std::string socket_, unit_;
 };
 
 /// How a process that start() started has ended, as waitpid() says it; waits 5 s at most. nullopt: the other end does

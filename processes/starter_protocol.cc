@@ -56,7 +56,7 @@ StarterRequest decode_request(const std::string& body) {
   if (words.size() == 1 && words.front() == "kill") return {StarterRequest::Kind::kill, {}, {}};
   const auto count = words.size() > 2 && words.front() == "run" ? config::parse_number<int>(words[1]) : std::nullopt;
   if (!count || *count < 1 || static_cast<std::size_t>(*count) > words.size() - 2) {
-    throw config::Error("this request of the gateway is none that this version knows");
+    throw config::Error("this request is none that this version knows");
   }
   const auto first = words.begin() + 2;
   return {StarterRequest::Kind::run, {first, first + *count}, {first + *count, words.end()}};
@@ -69,7 +69,7 @@ StarterAnswer decode_answer(const std::string& body) {
   const auto number = words.size() == 2 ? config::parse_number<int>(words.back()) : std::nullopt;
   if (number && *number > 1 && words.front() == "started") return {StarterAnswer::Kind::started, *number, {}};
   if (number && words.front() == "ended") return {StarterAnswer::Kind::ended, *number, {}};
-  throw config::Error("what starts hosts for the gateway gives an answer that this version does not know");
+  throw config::Error("what starts processes of another user gives an answer that this version does not know");
 }
 
 }  // namespace iotcloud::processes

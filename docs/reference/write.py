@@ -29,8 +29,9 @@ TARGET = HERE / "README.md"
 KEY_LINE = re.compile(r"^(\s*)([a-z_][\w.]*):(?: (.*))?$")
 # In a comment: prose may have a colon, too, but no value of one word, in quotes or in brackets behind it.
 OPTION = re.compile(r"^ *[a-z_][\w.]*:( *| \S+| [\[{\"].*)( +#.*)?$")
+USER = getpass.getuser() if os.geteuid() else "nobody"
 # What a file of another machine names, and stands in for it here.
-STAND_INS = {"iotcloud-drivers": getpass.getuser() if os.geteuid() else "nobody",
+STAND_INS = {"iotcloud-drivers": USER, "iotcloud-worker": USER,
              "my_components.so": "turtlebot_follower.so", "my.Work": "turtlebot.Decoder"}
 
 DAEMONS = (

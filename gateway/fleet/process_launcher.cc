@@ -7,7 +7,6 @@
 #include <utility>
 #include <variant>
 
-#include <fcntl.h>
 #include <fmt/format.h>
 #include <sys/stat.h>
 #include <unistd.h>
@@ -113,12 +112,11 @@ void make_folder(const std::string& path) {
 /// The host behind a socket that an earlier run left, if this gateway can adopt it. Kills a host that it cannot adopt.
 std::optional<RunningHost> examine(const std::string& folder, const FoundSocket& found, const HostProofs& proofs,
                                    processes::Silence& silence, std::chrono::milliseconds hang_limit,
-                                   const discovery::GatewayId& gateway, const processes::ChildAccount* account,
-                                   const std::shared_ptr<const processes::ProcessStarter>& starter) {
+                                   const discovery::GatewayId& gateway, const processes::ChildStarter& starter) {
   const std::string& name = found.name;
   const int process = processes::peer_process(found.connection);
   // Opened before the process is looked at: if the host ends meanwhile, its id may be another process's.
-  const processes::ChildProcess host_process(process, starter);
+  const processes::ChildProcess host_process = starter.found(process);
   const auto made_it = processes::has_argument(process, name);
   if (!made_it) {
     logger.warn(
@@ -139,9 +137,7 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
       problem = "it does not answer";
     } else if (hello->version != protocol::version || hello->order.gateway != gateway) {
       problem = "it is of another version or another gateway";
-    } else if (account != nullptr && !account->runs(process)) {
-      problem = "it runs as another user than host_user says";
-    } else {
+    } else if (problem = starter.objection(process); problem.empty()) {
       return RunningHost{name, hello->order, hello->instances};
     }
   } catch (const config::Error& e) {
@@ -160,7 +156,8 @@ ProcessLauncher::ProcessLauncher(Options options)
     : options_(std::move(options)),
       source_(options_.plugin_dir, options_.store, options_.trust, options_.trust_folder),
       versions_({options_.state_dir + "/plugin-versions", options_.allow_rollback, options_.require_version}),
-      proofs_(options_.state_dir) {
+      proofs_(options_.state_dir),
+      starter_({options_.confinement.user, options_.starter, "iotcloud-host", "host_user"}, options_.state_dir) {
   if (options_.host_program.empty()) options_.host_program = processes::program_beside("iotcloud-driver-host");
   if (access(options_.host_program.c_str(), X_OK) != 0) {
     throw config::Error(fmt::format("the driver host program {} cannot be run: {}; it belongs beside the gateway's own",
@@ -170,16 +167,13 @@ ProcessLauncher::ProcessLauncher(Options options)
     throw config::Error(fmt::format("the plugin folder {} is not there", options_.plugin_dir));
   }
   check_plugin_folder(options_.plugin_dir);
-  if (!options_.starter.empty()) starter_ = std::make_shared<processes::ProcessStarter>(options_.starter);
-  if (starter_ || (!options_.confinement.user.empty() && geteuid() == 0)) {
-    account_ = std::make_shared<processes::ChildAccount>(options_.confinement.user, options_.state_dir);
-  }
-  const std::string logs = log_folder(options_.state_dir);
+  const std::string logs = log_folder(options_.state_dir), spools = options_.state_dir + "/spool";
   make_folder(logs);
-  if (account_) {
-    account_->let_pass(logs);
+  if (const auto* account = starter_.account()) {
+    account->let_use(spools);
+    account->let_pass(logs);
   } else {
-    make_folder(options_.state_dir + "/spool");  // hosts that may reach it cannot make it
+    make_folder(spools);  // hosts that may reach it cannot make it
   }
   if (options_.confinement.files) {
     if (processes::landlock_version() == 0) {
@@ -197,11 +191,6 @@ processes::LogFile::Options ProcessLauncher::log_of(const std::string& plugin) c
           static_cast<std::uint64_t>(options_.log_limit_mb) << 20, options_.logs_kept};
 }
 
-std::function<void()> ProcessLauncher::log_keeper(const std::string& plugin) const {
-  if (!account_) return {};
-  return [account = account_, log_file = log_of(plugin)] { account->keep_within_bounds(log_file); };
-}
-
 bool ProcessLauncher::wants_isolation(const HostOrder& order) try {
   return source_.find(order).isolated;
 } catch (const config::Error&) {
@@ -216,7 +205,7 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   // Each host has a socket name of its own, so that an ending host and its successor do not conflict.
   const std::string socket = discovery::new_instance_id().str().substr(0, 12) + std::string(socket_suffix);
   const std::string log_file = log_of(order.plugin).path;
-  if (account_) account_->make_log(log_file);
+  if (starter_.account() != nullptr) starter_.account()->make_file(log_file);
   // clang-format off
   std::vector<std::string> arguments = {
       options_.host_program,
@@ -237,6 +226,8 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   add_confinement(arguments, options_.confinement);
   if (options_.confinement.files) add_files(arguments, *options_.confinement.files, options_, found.path);
   add_ports(arguments, options_.ports, order.plugin);
+  if (starter_.passes_socket())
+    arguments.insert(arguments.end(), {"--listen-on", std::to_string(processes::ChildStarter::passed_socket)});
   if (found.exactly) arguments.emplace_back("--exactly");
   if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
   if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
@@ -247,15 +238,16 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   };
   std::optional<processes::ChildProcess> process;
   try {
-    process.emplace(start(std::move(arguments), socket, log_file));
+    process.emplace(starter_.start(std::move(arguments), processes::environment_of(options_.environment),
+                                   options_.state_dir, socket, log_file));
   } catch (const config::Error& e) {
     return lacking(e);
   }
-  check_account(*process);
+  starter_.check(*process);
   logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process->id(), log_file);
   try {
     return std::make_unique<ProcessLink>(options_, order, socket, proofs_.of(socket), *std::move(process), events,
-                                         log_keeper(order.plugin));
+                                         starter_.log_keeper(log_of(order.plugin)));
   } catch (const std::system_error& e) {
     return lacking(e);
   }
@@ -264,34 +256,13 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   return link_to_nothing();
 }
 
-processes::ChildProcess ProcessLauncher::start(std::vector<std::string> arguments, const std::string& socket,
-                                               const std::string& log_file) const {
-  auto environment = processes::environment_of(options_.environment);
-  if (!starter_) return {processes::spawn(std::move(arguments), log_file, std::move(environment)), true};
-  const processes::OwnedDescriptor log(open(log_file.c_str(), O_WRONLY | O_APPEND | O_NOFOLLOW | O_CLOEXEC));
-  if (!log) throw config::Error(fmt::format("{} cannot be opened: {}", log_file, std::strerror(errno)));
-  // The host listens on a socket that stays this user's own: other hosts may not connect to it.
-  const auto listening = processes::bind_in(options_.state_dir, socket);
-  arguments.insert(arguments.end(), {"--listen-on", "3"});
-  return {starter_->start(arguments, environment, log, listening), starter_};
-}
-
-/// \throws config::Error, after it has ended the process, if that runs under another account than it should
-void ProcessLauncher::check_account(const processes::ChildProcess& process) const {
-  if (!starter_ || account_->runs(process.id())) return;
-  process.kill();
-  throw config::Error(fmt::format("{} starts hosts as another user than host_user says, {}", options_.starter,
-                                  options_.confinement.user));
-}
-
 std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& gateway) {
   std::vector<RunningHost> hosts;
   // Connected to all of them first, so that several hosts that stand still keep this waiting only once.
   const auto found = connect_to_hosts(options_.state_dir);
   processes::Silence silence(std::chrono::steady_clock::now(), 2 * hello_pause);
   for (const auto& socket : found) {
-    auto host =
-        examine(options_.state_dir, socket, proofs_, silence, options_.hang_limit, gateway, account_.get(), starter_);
+    auto host = examine(options_.state_dir, socket, proofs_, silence, options_.hang_limit, gateway, starter_);
     if (!host) continue;
     host->order.identity.driver = source_.driver_of(host->order);  // what the host says of itself proves nothing
     hosts.push_back(std::move(*host));
@@ -301,9 +272,8 @@ std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& ga
 
 std::unique_ptr<HostLink> ProcessLauncher::adopt(const RunningHost& host, HostEvents events) {
   const int process = processes::peer_process(processes::connect_in(options_.state_dir, host.name));
-  return std::make_unique<ProcessLink>(options_, host.order, host.name, proofs_.of(host.name),
-                                       processes::ChildProcess(process, starter_), std::move(events),
-                                       log_keeper(host.order.plugin));
+  return std::make_unique<ProcessLink>(options_, host.order, host.name, proofs_.of(host.name), starter_.found(process),
+                                       std::move(events), starter_.log_keeper(log_of(host.order.plugin)));
 }
 
 }  // namespace iotcloud::gateway

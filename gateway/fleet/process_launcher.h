@@ -13,8 +13,8 @@
 #include <iotcloud/gateway/fleet/host_proofs.h>
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/plugin_source.h>
-#include <iotcloud/processes/child_account.h>
 #include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/child_starter.h>
 #include <iotcloud/processes/confinement.h>
 #include <iotcloud/processes/plugin_versions.h>
 #include <iotcloud/processes/process_settings.h>
@@ -47,8 +47,7 @@ class ProcessLauncher final : public HostLauncher {
     processes::VitalLimits limits;
     processes::Confinement confinement;
     Ports ports;  ///< empty: hosts connect to whatever they like; otherwise each has some, see Confinement::ports
-    /// The socket at which systemd starts hosts under the account `confinement.user` (processes::ProcessStarter);
-    /// empty: this process starts them, and if it is root they change to that account.
+    /// The socket at which systemd starts hosts under the account `confinement.user` (processes::ChildStarter).
     std::string starter;
     std::vector<std::string> environment;  ///< names of variables that hosts have besides the usual ones
     int log_limit_mb = 10;                 ///< the size at which a host's log is rotated
@@ -74,19 +73,13 @@ class ProcessLauncher final : public HostLauncher {
   std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;
 
  private:
-  void check_account(const processes::ChildProcess& process) const;
-  processes::ChildProcess start(std::vector<std::string> arguments, const std::string& socket,
-                                const std::string& log_file) const;
   processes::LogFile::Options log_of(const std::string& plugin) const;
-  /// A function that rotates the log of this plugin's hosts; empty if the hosts may do that themselves.
-  std::function<void()> log_keeper(const std::string& plugin) const;
 
   Options options_;
-  std::shared_ptr<const processes::ProcessStarter> starter_;  ///< null: this process starts hosts itself
-  std::shared_ptr<const processes::ChildAccount> account_;    ///< null: hosts run under this process's account
   PluginSource source_;
   processes::PluginVersions versions_;
   const HostProofs proofs_;
+  const processes::ChildStarter starter_;
 };
 
 }  // namespace iotcloud::gateway

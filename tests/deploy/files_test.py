@@ -28,7 +28,7 @@ READERS = {"master.key": {"iotcloud-master"}, "master-tokens": {"iotcloud-master
            "broker.password": {"iotcloud-gateway", "iotcloud-host"}, "broker-reads.password": {"iotcloud-gateway", "iotcloud-host"},
            "worker.password": {"iotcloud-topology"}, "worker-broker.password": {"iotcloud-topology"},
            "page-tokens": set(DAEMONS.values()), **{f"lab1-{user.removeprefix('iotcloud-')}.key": {user} for user in DAEMONS.values()}}
-USERS = [*DAEMONS.values(), "iotcloud-host"]
+USERS = [*DAEMONS.values(), "iotcloud-host", "iotcloud-worker"]
 HOST_UNITS = ["iotcloud-host.socket", "iotcloud-host@.service"]
 ETC = "/etc/iotcloud"
 # Of the machine lab1, on which everything is here.
@@ -85,7 +85,8 @@ class Machine(BootedCluster):
 
     def reads(self, user, file):
         """Whether a daemon of this user, with the groups that its unit gives it, may read a file."""
-        groups = {"iotcloud-host": "--clear-groups", "iotcloud-gateway": "--groups=iotcloud,iotcloud-host"}.get(user, "--groups=iotcloud")
+        groups = {"iotcloud-host": "--clear-groups", "iotcloud-worker": "--clear-groups",
+                  "iotcloud-gateway": "--groups=iotcloud,iotcloud-host"}.get(user, "--groups=iotcloud")
         done = self.inside("setpriv", f"--reuid={user}", f"--regid={user}", groups, "cat", f"{ETC}/{file}")
         return done.returncode == 0
 

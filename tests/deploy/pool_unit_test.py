@@ -1,9 +1,12 @@
 #!/usr/bin/python3
-"""The shipped unit of a pool of workers, under a systemd of its own (booted.py): a topology that is submitted runs in a worker of
-the pool's user, which is not root. A pool that is killed is started again, and adopts its worker. When systemd stops the pool, its
-worker ends.
+"""The shipped units of a pool of workers, under a systemd of their own (booted.py).
 
-usage: pool_unit_test.py UNITS BUILD_DIR LIBRARY [--kill-mode MODE]
+- With `--workers-as iotcloud-worker`: a component library runs as another user than its pool, neither of them root, and reaches
+  neither the pool's key and tokens nor its process. Without it does, which shows that the attacks are some.
+- A pool that is killed is started again; its worker has lived on and is adopted. A worker that hangs, which its pool has no right
+  to signal, is ended and started again. When systemd stops the pool, its worker ends.
+
+usage: pool_unit_test.py UNITS BUILD_DIR LIBRARY [--workers-as iotcloud-worker] [--kill-mode MODE]
 """
 
 import argparse
@@ -15,22 +18,36 @@ from pathlib import Path
 from booted import BootedCluster, require_means, status_of, with_own_programs
 from private_cluster import passing_topology, require, wait_for
 
-UNIT = "iotcloud-pool.service"
+UNIT, WORKER_UNITS = "iotcloud-pool.service", ["iotcloud-worker.socket", "iotcloud-worker@.service"]
 USER = "iotcloud-topology"
+OWN = "worker_user: iotcloud-worker\nworker_starter: /run/iotcloud-worker"
+# Of the pool: its key, its tokens, and what is in its state folder.
+SECRETS = ["/opt/iotcloud/pool.key", "/opt/iotcloud/pool-tokens", "/var/lib/iotcloud-pool/state/id"]
+# What comes of a library's attacks, if workers have a user of their own: in /proc it does not even see the pool.
+ATTACKS = {"signal": "EPERM", "mem": "ENOENT", "environ": "ENOENT", "pool.key": "EACCES", "pool-tokens": "EACCES", "id": "EACCES"}
+# If they have the pool's: only what the kernel keeps of a daemon, and shows to nobody, is out of reach.
+OF_THE_SAME_USER = {**dict.fromkeys(ATTACKS, "ok"), "mem": "EACCES", "environ": "EACCES"}
 
 
 class Machine(BootedCluster):
-    def boot_pool(self, units, kill_mode):
-        text = with_own_programs((units / UNIT).read_text()).replace("/etc/iotcloud/", "/opt/iotcloud/")
-        if kill_mode:
-            text = text.replace("KillMode=process", f"KillMode={kill_mode}")
+    def boot_pool(self, units, kill_mode, workers_as):
+        known = {}
+        for unit in [UNIT, *WORKER_UNITS]:
+            text = with_own_programs((units / unit).read_text()).replace("/etc/iotcloud/", "/opt/iotcloud/")
+            if kill_mode:
+                text = text.replace("KillMode=process", f"KillMode={kill_mode}")
+            known[unit] = text
         (self.out / "pool.yaml").write_text(f"""
 id: pool-1
 registry: "{self.zookeeper}"
 registry.session_timeout: 4s
 state: state
+worker_hang_limit: 3s
+{OWN if workers_as else ""}
 """)
-        self.boot(units, {UNIT: text}, [UNIT], [self.bin / "iotcloud-topology", self.out / "pool.yaml"], "")
+        secrets = " ".join(SECRETS[:2])
+        self.boot(units, known, [UNIT], [self.bin / "iotcloud-topology", self.out / "pool.yaml"],
+                  f"touch {secrets}; chmod 0600 {secrets}; chown {USER}: {secrets}")
 
     def processes(self, second):
         """Process ids of iotcloud-topology whose second word is this one."""
@@ -50,14 +67,31 @@ state: state
     def worker(self):
         return self.processes(b"--pooled")
 
+    def states(self):
+        return [place["state"] for place in self.json("topology", "show", "echo")["places"]]
 
-def check_users(machine):
-    number = machine.inside("id", "-u", USER).stdout.strip()
-    for process in machine.pool() + machine.worker():
+    def attacking_topology(self, library):
+        """The YAML file of a topology whose library tries what it may do to the pool."""
+        file = passing_topology(self, library)
+        conf = f'conf: {{victim: "{status_of(self.pool()[0], "NSpid")[-1]}", secrets: "{" ".join(SECRETS)}"}}'
+        file.write_text(file.read_text().replace("class: passing.Pass", f"class: passing.Pass, {conf}"))
+        return file
+
+
+def check_users(machine, worker_user):
+    for process, user in ((machine.pool()[0], USER), (machine.worker()[0], worker_user)):
+        number = machine.inside("id", "-u", user).stdout.strip()
         require(set(status_of(process, "Uid")) == {number} and number != "0",
-                f"process {process} runs as {status_of(process, 'Uid')}, not as {USER}")
+                f"process {process} runs as {status_of(process, 'Uid')}, not as {user}")
         for kind in ("CapPrm", "CapEff", "CapBnd", "CapAmb"):
             require(int(status_of(process, kind)[0], 16) == 0, f"process {process} has {kind} {status_of(process, kind)}")
+
+
+def check_attacks(machine, expected):
+    """The worker's log, which the pool reads, says what came of them."""
+    log = machine.cli("topology", "logs", "echo", "--place", "0")
+    found = dict(line.removeprefix("tried ").split(": ") for line in log.splitlines() if line.startswith("tried "))
+    require(found == expected, f"a library's attacks have the outcomes {found}, not {expected}, in {log}")
 
 
 def main():
@@ -66,30 +100,34 @@ def main():
     options.add_argument("build", type=Path)
     options.add_argument("library", help="the component library passing.so")
     options.add_argument("--kill-mode", help="instead of the unit's, to see this test fail")
+    options.add_argument("--workers-as", choices=["iotcloud-worker"], help="a user of their own; without: the pool's")
     given = options.parse_args()
     require_means()
-    out = given.build.resolve() / "pool_unit"
+    out = given.build.resolve() / ("workers_of_another_user" if given.workers_as else "pool_unit")
     shutil.rmtree(out, ignore_errors=True)
     with Machine(out, given.build / "bin", given.build / "plugins") as machine:
         machine.start(gateways=0, brokers=[])
-        machine.boot_pool(given.units.resolve(), given.kill_mode)
+        machine.boot_pool(given.units.resolve(), given.kill_mode, given.workers_as)
         wait_for("the pool is there", lambda: len(machine.json("topology", "pools")) == 1)
-        file = passing_topology(machine, given.library)
-        machine.cli("topology", "submit", file)
+        machine.cli("topology", "submit", machine.attacking_topology(given.library))
         pool, worker = machine.pool(), machine.worker()
         require(len(pool) == 1 and len(worker) == 1, f"pool {pool} has the workers {worker}")
-        check_users(machine)
+        check_users(machine, given.workers_as or USER)
+        check_attacks(machine, ATTACKS if given.workers_as else OF_THE_SAME_USER)
 
         os.kill(pool[0], signal.SIGKILL)
         wait_for("systemd starts the pool again", lambda: machine.pool() not in ([], pool))
-        wait_for("it tells of its worker again", lambda: [
-            place["state"] for place in machine.json("topology", "show", "echo")["places"]] == ["running"])
+        wait_for("it tells of its worker again", lambda: machine.states() == ["running"])
         require(machine.worker() == worker, f"worker {worker} did not outlive its pool; now there are {machine.worker()}")
+
+        os.kill(worker[0], signal.SIGSTOP)
+        wait_for("a worker that hangs is ended, and another one started", lambda: machine.worker() not in ([], worker))
+        wait_for("that one runs", lambda: machine.states() == ["running"])
 
         stopped = machine.systemctl("stop", UNIT)
         require(stopped.returncode == 0, f"the pool did not stop: {stopped}")
         require(not machine.pool() and not machine.worker(), f"left after the stop: {machine.pool()} {machine.worker()}")
-    print(f"worker {worker[0]} ran as {USER}, outlived its pool, and was ended by the next one")
+    print(f"worker {worker[0]} ran as {given.workers_as or USER}, outlived its pool, and was ended by the next one")
 
 
 if __name__ == "__main__":

@@ -26,8 +26,9 @@ class Units(unittest.TestCase):
             unit = pathlib.Path(folder.name, source.name.replace("@.", "@follower."))
             unit.write_text(source.read_text().replace("ExecStart=/usr/bin/iotcloud", f"ExecStart={PROGRAMS}/iotcloud"))
             self.units.append(unit)
-        shutil.copy(UNITS / "iotcloud-host.socket", folder.name)
-        shutil.copy(UNITS / "iotcloud-host@.service", folder.name)
+        for name in ("host", "worker"):
+            shutil.copy(UNITS / f"iotcloud-{name}.socket", folder.name)
+            shutil.copy(UNITS / f"iotcloud-{name}@.service", folder.name)
 
     def analyze(self, *words):
         return subprocess.run(["systemd-analyze", *words], capture_output=True, text=True, timeout=60)
@@ -36,16 +37,17 @@ class Units(unittest.TestCase):
         self.assertEqual([unit.name for unit in self.units],
                          ["iotcloud-gateway.service", "iotcloud-host@follower.service", "iotcloud-master.service", "iotcloud-pool.service",
                           "iotcloud-registry-tunnel.service",
-                          "iotcloud-robot.service", "iotcloud-topology@follower.service"])
+                          "iotcloud-robot.service", "iotcloud-topology@follower.service", "iotcloud-worker@follower.service"])
 
     def test_systemd_understands_all_that_they_say(self):
-        for unit in [*self.units, self.units[0].with_name("iotcloud-host.socket")]:
+        for unit in [*self.units, *(self.units[0].with_name(f"iotcloud-{name}.socket") for name in ("host", "worker"))]:
             done = self.analyze("verify", "--man=no", "--recursive-errors=no", str(unit))
             self.assertEqual((done.returncode, done.stderr), (0, ""), unit.name)
 
     def test_each_daemon_starts_after_the_tunnel_to_the_registry(self):
         for unit in self.units:
-            if not {"tunnel", "robot", "host@follower"} & set(re.split(r"[-.]", unit.name)):  # which has nothing to do with the registry
+            # Those that have nothing to do with the registry, or are started by a daemon that comes after it.
+            if not {"tunnel", "robot", "host@follower", "worker@follower"} & set(re.split(r"[-.]", unit.name)):
                 lines = unit.read_text().splitlines()
                 for key in ("After", "Wants"):
                     self.assertIn(f"{key}=network-online.target iotcloud-registry-tunnel.service", lines, unit.name)
@@ -60,7 +62,8 @@ class Units(unittest.TestCase):
         limits = {unit.name: re.findall(r"^TasksMax=(\d+)$", unit.read_text(), re.MULTILINE) for unit in self.units}
         self.assertEqual({unit: limit for unit, limit in limits.items() if limit},
                          {"iotcloud-gateway.service": ["4096"], "iotcloud-host@follower.service": ["1024"],
-                          "iotcloud-pool.service": ["4096"], "iotcloud-topology@follower.service": ["4096"]})
+                          "iotcloud-pool.service": ["4096"], "iotcloud-topology@follower.service": ["4096"],
+                          "iotcloud-worker@follower.service": ["1024"]})
 
     def test_users_that_they_name_are_made(self):
         made = {line.split()[1] for line in (UNITS / "iotcloud.sysusers").read_text().splitlines() if line.startswith(("u ", "g "))}

@@ -58,7 +58,7 @@ class Starter : public testing::Test {
 };
 
 TEST_F(Starter, RunsNothingForWhatIsNoRequest) {
-  const std::string unknown = "this request of the gateway is none that this version knows";
+  const std::string unknown = "this request is none that this version knows";
   for (const std::string& body :
        {std::string(), std::string("run"), std::string("run\0", 4), std::string("run\0001\0", 6),
         std::string("run\0002\0a\0", 8), std::string("run\000-1\0a\0", 9), std::string("run\0001x\0a\0", 9),

@@ -52,8 +52,9 @@ void read_workers(config::YamlSection& file, PoolConfig& config) {
   processes::read_time(file, "worker_call_limit", workers.call_limit);
   processes::read_time(file, "worker_spin_limit", workers.limits.spin);
   workers.limits.memory_bytes = static_cast<std::uint64_t>(file.int_or("worker_memory_limit_mb", 0, 0, most_mb)) << 20;
-  static const processes::ConfinementWords words{"worker_", "a pool", "workers", "a worker", ""};
-  workers.confinement = processes::read_confinement(file, words, false);
+  static const processes::ConfinementWords words{"worker_", "a pool", "workers", "a worker", "iotcloud-worker"};
+  workers.starter = processes::read_starter(file, words);
+  workers.confinement = processes::read_confinement(file, words, workers.starter);
   workers.ports = processes::read_ports(file, words, workers.confinement);
   workers.environment = file.strings_or("worker_environment", {});
   processes::read_log_limits(file, "worker_", workers.log_limit_mb, workers.logs_kept);

@@ -18,13 +18,22 @@ namespace {
 
 constexpr int look_pause_ms = 2000;  ///< the longest pause between checks of the log's size
 
+/// The socket on which the worker of this folder listens.
+processes::OwnedDescriptor listener_in(const std::string& folder, const pooled::WorkerSpec& spec) {
+  if (spec.listen_on < 0) return processes::listen_in(folder, pooled::socket_name);
+  processes::OwnedDescriptor given(spec.listen_on);
+  fcntl(given.get(), F_SETFD, FD_CLOEXEC);
+  processes::listen_on(given);
+  return given;
+}
+
 }  // namespace
 
 PooledWorker::PooledWorker(std::string folder)
     : folder_(std::move(folder)),
       spec_(pooled::read_spec(folder_)),
       log_file_({spec_.log, static_cast<std::uint64_t>(spec_.log_limit_mb) << 20, spec_.logs_kept}),
-      listener_(processes::listen_in(folder_, pooled::socket_name)) {
+      listener_(listener_in(folder_, spec_)) {
   processes::confine(pooled::confinement_of(spec_.confinement));
   thread_ = std::jthread([this](const std::stop_token& stop) { run(stop); });
 }

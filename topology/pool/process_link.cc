@@ -21,7 +21,10 @@ ProcessLink::ProcessLink(Options options, const processes::VitalLimits& limits, 
       watch_({options_.folder, pooled::socket_name, options_.ping_period, options_.hang_limit, stop_margin, limits, ""},
              std::move(process),
              {[this](const std::string& body) { heard(pooled::decode_report(body)); },
-              [this] { watch_.send(pooled::encode(pooled::PoolCommand{})); },
+              [this] {
+                if (options_.keep_log) options_.keep_log();
+                watch_.send(pooled::encode(pooled::PoolCommand{}));
+              },
               [this](const processes::WatchedEnd& end) { ended(end); }}) {}
 
 void ProcessLink::stop(milliseconds limit) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <functional>
 #include <string>
 
 #include <iotcloud/processes/process_watch.h>
@@ -17,6 +18,7 @@ class ProcessLink final : public WorkerLink {
     std::chrono::milliseconds hang_limit{10000};  ///< a worker that is silent for this long is killed
     /// A worker is killed in which a call of a component takes longer; 0: never.
     std::chrono::milliseconds call_limit{0};
+    std::function<void()> keep_log;  ///< called about once in a ping period, on the link's thread; may be empty
   };
   /// As processes::ProcessWatch().
   ProcessLink(Options options, const processes::VitalLimits& limits, processes::ChildProcess process,

@@ -43,9 +43,13 @@ WorkerProcesses::WorkerProcesses(Options options)
     : options_([&options] {
         if (options.program.empty()) options.program = processes::own_program();
         return std::move(options);
-      }()) {
-  make_folder(options_.state_dir + "/workers");
-  make_folder(options_.state_dir + "/logs");
+      }()),
+      starter_({options_.confinement.user, options_.starter, "iotcloud-worker", "worker_user"}, options_.state_dir) {
+  for (const char* name : {"workers", "logs"}) {
+    const std::string folder = options_.state_dir + "/" + name;
+    make_folder(folder);
+    if (const auto* account = starter_.account()) account->let_pass(folder);
+  }
   if (!options_.require_version) return;
   processes::PluginVersions::Options versions;
   versions.file = options_.state_dir + "/library-versions";
@@ -102,6 +106,47 @@ pooled::WorkerConfinement WorkerProcesses::confinement_in(const std::string& fol
   return pooled::worker_confinement(confinement);
 }
 
+processes::LogFile::Options WorkerProcesses::log_file(const discovery::PlaceId& place) const {
+  return {log_of(options_.state_dir, place), static_cast<std::uint64_t>(options_.log_limit_mb) << 20,
+          options_.logs_kept};
+}
+
+/// Makes what a worker finds in its folder, and its log. A worker of another account can read the order to it, write to
+/// its log and to the file for its word, and change nothing else.
+void WorkerProcesses::prepare(const std::string& folder, const WorkerOrder& order,
+                              const pooled::WorkerSpec& spec) const {
+  const std::string logs = log_folder(options_.state_dir, spec.topology), yaml = folder + "/" + pooled::yaml_name;
+  make_folder(folder);
+  make_folder(logs);
+  write_file(yaml, order.version.yaml);
+  write_file(pooled::spec_path(folder), pooled::encode(spec));
+  const auto* account = starter_.account();
+  if (account == nullptr) return;
+  for (const auto& passed : {folder, logs}) account->let_pass(passed);
+  for (const auto& read : {yaml, pooled::spec_path(folder)}) account->let_read(read);
+  for (const auto& written : {folder + "/" + pooled::end_name, spec.log}) account->make_file(written);
+}
+
+/// Starts the worker that is to run in this folder.
+processes::ChildProcess WorkerProcesses::launch(const std::string& folder, const pooled::WorkerSpec& spec) const {
+  // clang-format off
+  std::vector<std::string> arguments = {
+      options_.program, "--pooled", folder,
+      "--config", folder + "/" + pooled::yaml_name,
+      "--stop-limit", fmt::format("{:.3f}", static_cast<double>(options_.stop_limit.count()) / 1000)};
+  // clang-format on
+  const auto as_this_process = config::log_options();
+  arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
+  auto process = starter_.start(std::move(arguments), processes::environment_of(options_.environment), folder,
+                                pooled::socket_name, spec.log);
+  try {
+    starter_.check(process);
+  } catch (const config::Error& error) {
+    throw WorkerRefused(error.what());
+  }
+  return process;
+}
+
 std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, WorkerEvents events) {
   pooled::WorkerSpec spec;
   spec.pool = options_.pool;
@@ -113,26 +158,15 @@ std::unique_ptr<WorkerLink> WorkerProcesses::start(const WorkerOrder& order, Wor
   spec.log = log_of(options_.state_dir, order.place);
   spec.log_limit_mb = options_.log_limit_mb;
   spec.logs_kept = options_.logs_kept;
+  if (starter_.passes_socket()) spec.listen_on = processes::ChildStarter::passed_socket;
   const std::string folder = folder_of(processes::random_name());
   spec.confinement = confinement_in(folder, spec.topology);
-  make_folder(folder);
-  make_folder(log_folder(options_.state_dir, spec.topology));
   try {
-    write_file(folder + "/" + pooled::yaml_name, order.version.yaml);
-    write_file(pooled::spec_path(folder), pooled::encode(spec));
-    // clang-format off
-    std::vector<std::string> arguments = {
-        options_.program, "--pooled", folder,
-        "--config", folder + "/" + pooled::yaml_name,
-        "--stop-limit", fmt::format("{:.3f}", static_cast<double>(options_.stop_limit.count()) / 1000)};
-    // clang-format on
-    const auto as_this_process = config::log_options();
-    arguments.insert(arguments.end(), as_this_process.begin(), as_this_process.end());
-    processes::ChildProcess process(
-        processes::spawn(std::move(arguments), spec.log, processes::environment_of(options_.environment)), true);
+    prepare(folder, order, spec);
+    auto process = launch(folder, spec);
     pool_logger.info("started worker {} of topology {} as process {}; it logs to {}", spec.place, spec.topology,
                      process.id(), spec.log);
-    return link(folder, std::move(process), std::move(events));
+    return link(folder, order.place, std::move(process), std::move(events));
   } catch (const std::exception&) {
     pooled::remove_worker(folder);
     throw;
@@ -146,8 +180,15 @@ std::optional<RunningWorker> WorkerProcesses::examine(const std::string& name) c
     const auto spec = pooled::read_spec(folder);
     const auto connection = processes::connect_in(folder, pooled::socket_name);
     const int process = connection ? processes::peer_process(connection) : 0;
-    const auto is_worker = processes::has_argument(process, folder);
-    if (process > 0 && is_worker.value_or(true)) return RunningWorker{name, spec.place_id(), spec.version};
+    // Opened before the process is looked at: if the worker ends meanwhile, its id may be another process's.
+    const auto worker = starter_.found(process);
+    if (process > 0 && processes::has_argument(process, folder).value_or(true)) {
+      const std::string objection = starter_.objection(process);
+      if (objection.empty()) return RunningWorker{name, spec.place_id(), spec.version};
+      pool_logger.warn("worker {} of topology {} (process {}) that an earlier run of the pool started is killed: {}",
+                       spec.place, spec.topology, process, objection);
+      worker.kill();
+    }
   } catch (const config::Error& error) {
     pool_logger.warn("{}: {}", folder, error.what());
   }
@@ -171,12 +212,13 @@ std::vector<RunningWorker> WorkerProcesses::running() {
 std::unique_ptr<WorkerLink> WorkerProcesses::adopt(const RunningWorker& worker, WorkerEvents events) {
   const std::string folder = folder_of(worker.name);
   const int process = processes::peer_process(processes::connect_in(folder, pooled::socket_name));
-  return link(folder, {process, false}, std::move(events));
+  return link(folder, worker.place, starter_.found(process), std::move(events));
 }
 
-std::unique_ptr<WorkerLink> WorkerProcesses::link(const std::string& folder, processes::ChildProcess process,
-                                                  WorkerEvents events) const {
-  ProcessLink::Options options{folder, options_.ping_period, options_.hang_limit, options_.call_limit};
+std::unique_ptr<WorkerLink> WorkerProcesses::link(const std::string& folder, const discovery::PlaceId& place,
+                                                  processes::ChildProcess process, WorkerEvents events) const {
+  ProcessLink::Options options{folder, options_.ping_period, options_.hang_limit, options_.call_limit,
+                               starter_.log_keeper(log_file(place))};
   return std::make_unique<ProcessLink>(std::move(options), options_.limits, std::move(process), std::move(events));
 }
 

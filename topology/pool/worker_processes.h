@@ -7,6 +7,7 @@
 #include <vector>
 
 #include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/child_starter.h>
 #include <iotcloud/processes/plugin_store.h>
 #include <iotcloud/processes/plugin_versions.h>
 #include <iotcloud/processes/process_settings.h>
@@ -38,13 +39,15 @@ class WorkerProcesses final : public WorkerLauncher {
     std::chrono::milliseconds call_limit{60000};
     std::chrono::milliseconds stop_limit{10000};  ///< until a worker that drains gives up the rest
     processes::Confinement confinement;           ///< that every worker gets; `ports` come from below
-    processes::PortsByCode ports;                 ///< by topology; empty: workers connect to whatever they like
+    /// The socket at which systemd starts workers under the account `confinement.user` (processes::ChildStarter).
+    std::string starter;
+    processes::PortsByCode ports;  ///< by topology; empty: workers connect to whatever they like
     processes::VitalLimits limits{.memory_bytes = 0, .spin = std::chrono::milliseconds{0}};
     std::vector<std::string> environment;  ///< names of variables that workers have besides the usual ones
     int log_limit_mb = 10;                 ///< the size at which a worker's log is rotated
     int logs_kept = 3;                     ///< number of older logs that are kept
   };
-  /// \throws config::Error if a folder cannot be made.
+  /// \throws config::Error if a folder cannot be made, or nobody starts workers under their account.
   explicit WorkerProcesses(Options options);
 
   std::unique_ptr<WorkerLink> start(const WorkerOrder& order, WorkerEvents events) override;
@@ -56,13 +59,17 @@ class WorkerProcesses final : public WorkerLauncher {
 
  private:
   std::string folder_of(const std::string& name) const { return options_.state_dir + "/workers/" + name; }
-  std::unique_ptr<WorkerLink> link(const std::string& folder, processes::ChildProcess process,
-                                   WorkerEvents events) const;
+  processes::LogFile::Options log_file(const discovery::PlaceId& place) const;
+  void prepare(const std::string& folder, const WorkerOrder& order, const pooled::WorkerSpec& spec) const;
+  processes::ChildProcess launch(const std::string& folder, const pooled::WorkerSpec& spec) const;
+  std::unique_ptr<WorkerLink> link(const std::string& folder, const discovery::PlaceId& place,
+                                   processes::ChildProcess process, WorkerEvents events) const;
   pooled::WorkerConfinement confinement_in(const std::string& folder, const discovery::TopologyName& topology) const;
   std::string checked_library(const discovery::SentLibrary& library, bool goes_back);
   std::optional<RunningWorker> examine(const std::string& name) const;
 
   const Options options_;
+  const processes::ChildStarter starter_;
   std::optional<processes::PluginVersions> versions_;  ///< nullopt: they are not looked at
 };
 

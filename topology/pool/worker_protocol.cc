@@ -26,6 +26,7 @@ Struct read(const std::string& path) {
 
 processes::Confinement confinement_of(const WorkerConfinement& worker) {
   processes::Confinement confinement;
+  confinement.user = worker.user;
   confinement.open_files = worker.open_files;
   confinement.processes = worker.processes;
   confinement.no_new_privileges = worker.no_new_privileges;
@@ -38,6 +39,7 @@ processes::Confinement confinement_of(const WorkerConfinement& worker) {
 
 WorkerConfinement worker_confinement(const processes::Confinement& confinement) {
   WorkerConfinement worker;
+  worker.user = confinement.user;
   worker.open_files = confinement.open_files;
   worker.processes = confinement.processes;
   worker.no_new_privileges = confinement.no_new_privileges;

@@ -13,7 +13,8 @@
 
 /// What a pool and a worker that it started tell each other: files, and frames of JSON (processes/frames.h) on a
 /// socket, on which the worker listens. They are in the worker's folder, in which a confined worker may write, but for
-/// the pool's order to it, which lies beside the folder.
+/// the pool's order to it, which lies beside the folder. A worker of another account than the pool's reads the YAML
+/// there, writes to the file for its word, which the pool has made, and changes nothing else.
 namespace iotcloud::topology::pooled {
 
 /// Names in a worker's folder.
@@ -23,6 +24,7 @@ inline constexpr const char* socket_name = "control.sock";
 
 /// What a worker gives up before it loads a library (processes::Confinement).
 struct WorkerConfinement {
+  std::string user;
   std::uint64_t open_files = 0;
   std::uint64_t processes = 0;
   bool no_new_privileges = false;
@@ -32,10 +34,11 @@ struct WorkerConfinement {
   std::vector<std::string> writable;
   std::optional<std::vector<std::uint16_t>> ports;  ///< nullopt: no restriction
   static constexpr const char* what = "a worker's confinement";
-  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(open_files, usual),        IOTCLOUD_FIELD(processes, usual),
-                                            IOTCLOUD_FIELD(no_new_privileges, usual), IOTCLOUD_FIELD(debuggable, usual),
-                                            IOTCLOUD_FIELD(filter_calls, usual),      IOTCLOUD_FIELD(readable, rare),
-                                            IOTCLOUD_FIELD(writable, usual),          IOTCLOUD_FIELD(ports, rare)};
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(user, rare),        IOTCLOUD_FIELD(open_files, usual),
+                                            IOTCLOUD_FIELD(processes, usual),  IOTCLOUD_FIELD(no_new_privileges, usual),
+                                            IOTCLOUD_FIELD(debuggable, usual), IOTCLOUD_FIELD(filter_calls, usual),
+                                            IOTCLOUD_FIELD(readable, rare),    IOTCLOUD_FIELD(writable, usual),
+                                            IOTCLOUD_FIELD(ports, rare)};
 };
 
 /// The file FOLDER.json: what the pool wants of the worker. A pool that finds the worker of its former run reads it
@@ -50,16 +53,18 @@ struct WorkerSpec {
   WorkerConfinement confinement;
   int log_limit_mb = 10;
   int logs_kept = 3;
+  int listen_on = -1;  ///< a descriptor that is the worker's socket already; -1: it makes its socket
   static constexpr const char* what = "a pool's order to a worker";
-  static constexpr auto fields = std::tuple{
-      IOTCLOUD_FIELD(pool, required),      IOTCLOUD_FIELD(topology, required), IOTCLOUD_FIELD(place, required),
-      IOTCLOUD_FIELD(version, usual),      IOTCLOUD_FIELD(libraries, usual),   IOTCLOUD_FIELD(log, usual),
-      IOTCLOUD_FIELD(log_limit_mb, usual), IOTCLOUD_FIELD(logs_kept, usual),   IOTCLOUD_FIELD(confinement, usual)};
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(pool, required),      IOTCLOUD_FIELD(topology, required),
+                                            IOTCLOUD_FIELD(place, required),     IOTCLOUD_FIELD(version, usual),
+                                            IOTCLOUD_FIELD(libraries, usual),    IOTCLOUD_FIELD(log, usual),
+                                            IOTCLOUD_FIELD(log_limit_mb, usual), IOTCLOUD_FIELD(logs_kept, usual),
+                                            IOTCLOUD_FIELD(confinement, usual),  IOTCLOUD_FIELD(listen_on, usual)};
   discovery::PlaceId place_id() const { return {topology, place}; }
 };
 
-/// The file `end.json`, which the worker makes: why it ends. There is none when the worker crashes, or ends because it
-/// was told to.
+/// The file `end.json`, which the worker writes: why it ends. There is none, or an empty one, when the worker crashes,
+/// or ends because it was told to.
 struct WorkerEnd {
   bool refused = false;  ///< the topology cannot run here: to start it again would not help
   std::string reason;

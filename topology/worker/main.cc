@@ -14,6 +14,8 @@
 #include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/config/daemon/reload.h>
 #include <iotcloud/config/exposure.h>
+#include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/process_starter.h>
 #include <iotcloud/rpc/http/health_page.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
@@ -25,6 +27,7 @@
 namespace {
 
 namespace config = iotcloud::config;
+namespace processes = iotcloud::processes;
 namespace rpc = iotcloud::rpc;
 namespace topology = iotcloud::topology;
 
@@ -225,6 +228,8 @@ int main(int argc, char** argv) {
   if (argc == 3 && first == "--check") return check(argv[2]);
   if (argc == 3 && first == "--check-library") return check_library(argv[2]);
   if (argc == 3 && first == "--check-submission") return check_submission(argv[2]);
+  if (argc == 2 && first == "--for-pool")
+    return processes::serve_starter(processes::OwnedDescriptor(STDIN_FILENO), processes::own_program());
   if (first == "--pool") return run_pool(argc, argv);
   if (argc > 2 && first == "--pooled") return run_pooled(argv[2], argc, argv);
   return config::run_daemon(
@@ -235,7 +240,7 @@ int main(int argc, char** argv) {
            "`iotcloud-topology --check FILE` only checks a topology and prints its "
            "graph, without contacting registry or broker; `--check-library FILE` loads a component library and "
            "says what it registers. `iotcloud-topology --pool --config FILE` runs a pool of workers, to which "
-           "topologies "
-           "are submitted.",
+           "topologies are submitted; systemd starts `iotcloud-topology --for-pool` if a pool asks for a worker of "
+           "another user (iotcloud-worker.socket).",
        .build = build});
 }

@@ -1,24 +1,19 @@
-// Driver hosts that systemd starts under another account; here a thread of the test stands in for it.
-#include <array>
+// Driver hosts that systemd starts under another account.
 #include <atomic>
 #include <functional>
 #include <string>
-#include <thread>
-#include <vector>
 
 #include <fcntl.h>
-#include <poll.h>
 #include <signal.h>
-#include <spawn.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
-#include <sys/wait.h>
 #include <unistd.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/gateway/fleet/process_fixture.h>
 #include <iotcloud/tests/gateway/status_log.h>
+#include <iotcloud/tests/processes/systemd_stand_in.h>
 
 namespace iotcloud::gateway {
 namespace {
@@ -27,46 +22,10 @@ using discovery::DriverState;
 using ::testing::HasSubstr;
 namespace fs = std::filesystem;
 
-/// Listens as iotcloud-host.socket does, and starts for each connection what iotcloud-host@.service does.
-class StandIn {
- public:
-  StandIn(const fs::path& folder, std::string user)
-      : user_(std::move(user)), listener_(processes::listen_in(folder, "starter")), thread_([this] { serve(); }) {}
-  ~StandIn() {
-    stop_.wake();
-    thread_.join();
-    for (const pid_t process : started_) waitpid(process, nullptr, 0);
-  }
-
- private:
-  void serve() {
-    for (;;) {
-      std::array<pollfd, 2> on{{{listener_.get(), POLLIN, 0}, {stop_.get(), POLLIN, 0}}};
-      poll(on.data(), on.size(), -1);
-      if (on[1].revents != 0) return;
-      const auto connection = processes::accept_from(listener_);
-      if (connection) start(connection.get());
-    }
-  }
-  void start(int connection) {
-    posix_spawn_file_actions_t actions;
-    posix_spawn_file_actions_init(&actions);
-    posix_spawn_file_actions_adddup2(&actions, connection, STDIN_FILENO);
-    std::string program = "/usr/bin/setpriv", user = "--reuid=" + user_, group = "--regid=nogroup",
-                none = "--clear-groups", host = HOST_PROGRAM, verb = "--for-gateway";
-    std::array<char*, 7> words = {program.data(), user.data(), group.data(), none.data(),
-                                  host.data(),    verb.data(), nullptr};
-    pid_t process = 0;
-    if (posix_spawn(&process, program.c_str(), &actions, nullptr, words.data(), environ) == 0)
-      started_.push_back(process);
-    posix_spawn_file_actions_destroy(&actions);
-  }
-
-  const std::string user_;
-  const processes::OwnedDescriptor listener_;
-  processes::Waker stop_;
-  std::vector<pid_t> started_;
-  std::thread thread_;
+/// systemd with the units for driver hosts.
+struct Systemd : processes::SystemdStandIn {
+  Systemd(const fs::path& folder, std::string user)
+      : SystemdStandIn(folder, std::move(user), HOST_PROGRAM, "--for-gateway") {}
 };
 
 class StartedHosts : public ProcessTest {
@@ -102,7 +61,7 @@ class StartedHosts : public ProcessTest {
 };
 
 TEST_F(StartedHosts, AreOfTheOtherUserAndServeTheirGateway) {
-  const StandIn systemd(folder_, "nobody");
+  const Systemd systemd(folder_, "nobody");
   start_gateway();
   give(quiet("a", "confined.so", {{"forbidden_file", state_ / "id"}, {"victim", std::to_string(getpid())}}));
   ASSERT_TRUE(comes_to("a", DriverState::active, "confined"));
@@ -119,7 +78,7 @@ TEST_F(StartedHosts, AreOfTheOtherUserAndServeTheirGateway) {
 }
 
 TEST_F(StartedHosts, SayHowTheyEnd) {
-  const StandIn systemd(folder_, "nobody");
+  const Systemd systemd(folder_, "nobody");
   const auto how = end_of("probe.so", [](int process) { kill(process, SIGKILL); });
   EXPECT_EQ(how.how, HostEnd::How::crashed);
   EXPECT_THAT(how.reason, HasSubstr("crashed (signal 9"));
@@ -127,14 +86,14 @@ TEST_F(StartedHosts, SayHowTheyEnd) {
 
 TEST_F(StartedHosts, ThatHangAreEndedByTheirOwnUser) {
   hang_limit_ = std::chrono::milliseconds{300};
-  const StandIn systemd(folder_, "nobody");
+  const Systemd systemd(folder_, "nobody");
   const auto how = end_of("probe.so", [](int process) { kill(process, SIGSTOP); });
   EXPECT_THAT(how.reason, HasSubstr("hung"));
 }
 
 TEST_F(StartedHosts, AreEndedWithTheRightsOfTheirUserOnly) {
-  const StandIn systemd(folder_, "nobody");
-  const auto starter = std::make_shared<const processes::ProcessStarter>(starter_);
+  const Systemd systemd(folder_, "nobody");
+  const auto starter = std::make_shared<const processes::ProcessStarter>(starter_, "iotcloud-host");
   const processes::OwnedDescriptor log(open("/dev/null", O_WRONLY | O_CLOEXEC));
   auto started = starter->start({"", "--check", "/nowhere.so"}, {}, log, log);
   const processes::ChildProcess checked(std::move(started), starter);
@@ -145,7 +104,7 @@ TEST_F(StartedHosts, AreEndedWithTheRightsOfTheirUserOnly) {
 }
 
 TEST_F(StartedHosts, OfAnotherUserThanTheConfigurationSaysAreEnded) {
-  const StandIn systemd(folder_, "daemon");
+  const Systemd systemd(folder_, "daemon");
   const auto how = end_of("probe.so", [](int) {});
   EXPECT_EQ(how.how, HostEnd::How::refused);
   EXPECT_THAT(how.reason, HasSubstr("another user than host_user says"));

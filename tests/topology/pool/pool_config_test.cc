@@ -77,7 +77,6 @@ worker_restart: {first: 1s, give_up_after: 0}
 
 TEST_F(PoolConfigTest, SaysWhatIsWrong) {
   EXPECT_THAT(error_of("worker_hang_limt: 3s"), HasSubstr("did you mean \"worker_hang_limit\"?"));
-  EXPECT_THAT(error_of("worker_user: nobody"), HasSubstr("worker_user: unknown key"));
   EXPECT_THAT(error_of("libraries.require_signature: true"), HasSubstr("libraries.require_signature"));
   EXPECT_THAT(error_of("libraries.require_version: true"),
               AllOf(HasSubstr("libraries.require_version"), HasSubstr("libraries.require_signature: true")));
@@ -86,6 +85,21 @@ TEST_F(PoolConfigTest, SaysWhatIsWrong) {
   EXPECT_THAT(error_of("worker_ports: {follower: [1]}"), HasSubstr("all: [5672]"));
   const auto file = tests::write_file(folder_ / "bad.yaml", "id: a/b\nregistry: embedded://x\nstate: s\n");
   EXPECT_THROW(PoolConfig::load(file), config::ConfigError);
+}
+
+TEST_F(PoolConfigTest, ItsWorkersMayHaveAUserOfTheirOwn) {
+  if (geteuid() == 0) {
+    EXPECT_EQ(load("worker_user: nobody").workers.confinement.user, "nobody");
+  } else {
+    EXPECT_THAT(error_of("worker_user: nobody"),
+                AllOf(HasSubstr("only a pool that runs as root"), HasSubstr("worker_starter: /run/iotcloud-worker")));
+  }
+  const auto config = load("worker_user: nobody\nworker_starter: /run/workers");
+  EXPECT_EQ(config.workers.confinement.user, "nobody");
+  EXPECT_EQ(config.workers.starter, "/run/workers");
+  EXPECT_THAT(error_of("worker_starter: /run/workers"),
+              AllOf(HasSubstr("worker_starter"), HasSubstr("worker_user: iotcloud-worker")));
+  EXPECT_THAT(error_of("worker_user: root"), AllOf(HasSubstr("worker_user"), HasSubstr("root")));
 }
 
 }  // namespace

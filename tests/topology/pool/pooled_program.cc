@@ -1,5 +1,7 @@
-// A worker that does what its YAML says, in one word; started by worker_processes_test.cc.
+// A worker that does what its YAML says, in one word; started by the tests of worker_fixture.h. With `--for-pool` it
+// starts itself for a pool of another user.
 #include <csignal>
+#include <cstdio>
 #include <cstdlib>
 #include <fstream>
 #include <string>
@@ -8,11 +10,15 @@
 #include <sys/ptrace.h>
 #include <unistd.h>
 
+#include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/durable_file.h>
+#include <iotcloud/processes/process_starter.h>
+#include <iotcloud/processes/unix_socket.h>
 #include <iotcloud/topology/pool/pooled_worker.h>
 
-int main(int, char** argv) {
+int main(int argc, char** argv) {
   using namespace iotcloud;
+  if (argc == 2) return processes::serve_starter(processes::OwnedDescriptor(STDIN_FILENO), processes::own_program());
   const std::string folder = argv[2];
   sigset_t ending;
   sigemptyset(&ending);
@@ -26,11 +32,13 @@ int main(int, char** argv) {
   }
   if (wanted == "crash") std::abort();
   if (wanted == "look around") {
-    // Which of these a confined worker still may: a file of the pool, its own log, and to trace a process.
+    // Which of these a worker may: read a file of the pool, make one in its own folder, connect to a worker's socket as
+    // its pool does, and trace a process.
     std::string found;
     if (access((folder + "/../../secret").c_str(), R_OK) == 0 && std::ifstream(folder + "/../../secret"))
       found += "secret ";
     if (std::ofstream(folder + "/mine")) found += "folder ";
+    if (processes::connect_in(folder, topology::pooled::socket_name)) found += "socket ";
     if (ptrace(PTRACE_TRACEME, 0, nullptr, nullptr) == 0) found += "ptrace ";
     if (prctl(PR_GET_NO_NEW_PRIVS, 0, 0, 0, 0) == 1) found += "no-new-privileges ";
     topology::PooledWorker::leave_word(folder, true, found);
@@ -50,6 +58,10 @@ int main(int, char** argv) {
         [](topology::pooled::WorkerReport& answer) { answer.worker = std::string(std::size_t{17} << 20, 'x'); });
   }
   if (wanted == "stand still") link.probe_with([](topology::pooled::WorkerReport&) { raise(SIGSTOP); });
+  if (wanted == "log much") {
+    for (int line = 0; line < 200'000; ++line) std::puts("a line of its log");
+    std::fflush(stdout);
+  }
   int received = 0;
   sigwait(&ending, &received);
   if (wanted == "stay") pause();
