@@ -26,6 +26,7 @@ class Told {
     return {[this](const pooled::WorkerReport& report) {
               const std::lock_guard lock(mutex_);
               report_ = report;
+              ++reports_;
               if (report.call_ms > 0) ++answers_;
             },
             [this](const WorkerEnding& ending) {
@@ -36,6 +37,11 @@ class Told {
   pooled::WorkerReport report() const {
     const std::lock_guard lock(mutex_);
     return report_;
+  }
+  /// How many times it told something.
+  int reports() const {
+    const std::lock_guard lock(mutex_);
+    return reports_;
   }
   /// How many times it told of a call.
   int answers() const {
@@ -60,7 +66,7 @@ class Told {
  private:
   mutable std::mutex mutex_;
   pooled::WorkerReport report_;
-  int answers_ = 0;
+  int reports_ = 0, answers_ = 0;
   std::optional<WorkerEnding> ending_;
 };
 
@@ -87,7 +93,7 @@ class WorkerProcessesTest : public testing::Test {
     options.state_dir = state_;
     options.store = store_;
     options.trust = trust_;
-    options.program = POOLED_PROGRAM;
+    options.program = program_;
     options.ping_period = std::chrono::milliseconds{20};
     options.hang_limit = hang_limit_;
     options.call_limit = call_limit_;
@@ -115,7 +121,7 @@ class WorkerProcessesTest : public testing::Test {
   std::chrono::milliseconds hang_limit_ = tests::patience, call_limit_{0};
   processes::VitalLimits limits_{.memory_bytes = 0, .spin = std::chrono::milliseconds{0}};
   processes::Confinement confinement_;
-  std::string starter_;
+  std::string starter_, program_ = POOLED_PROGRAM;
   bool require_version_ = false;
   std::string folder_, state_;
   std::shared_ptr<processes::PluginStore> store_;

@@ -36,6 +36,30 @@ TEST_F(WorkerProcessesTest, RunsAWorkerAndEndsIt) {
   EXPECT_TRUE(std::filesystem::exists(WorkerProcesses::log_of(state_, order("run").place)));
 }
 
+TEST_F(WorkerProcessesTest, AWorkerThatWorksDoesNotRunBeforeTheRegistryHasItsRecord) {
+  program_ = WORKER_PROGRAM;
+  const auto workers = make();
+  // A registry that does not answer.
+  const auto link = workers->start(order(R"(topology.name: t
+zk.servers: ["127.0.0.1:1"]
+spouts:
+  receive: {broker: rabbitmq, driver: d, channel: up, fields: [data, driverID, time]}
+bolts:
+  send: {broker: rabbitmq, driver: d, channel: down, fields: [data, driverID, time], inputs: [{from: receive}]}
+)"),
+                                   told_.events());
+  const std::string log = WorkerProcesses::log_of(state_, order("").place);
+  ASSERT_TRUE(eventually([&] {
+    return tests::read_file(log).find("the registry does not answer; topology t runs as its YAML says") !=
+           std::string::npos;
+  })) << tests::read_file(log);
+  const int before = told_.reports();
+  ASSERT_TRUE(eventually([&] { return told_.reports() > before + 1; })) << "an answer that was asked for since";
+  EXPECT_FALSE(told_.report().runs);
+  link->stop(tests::patience);
+  EXPECT_EQ(told_.ending().how, How::stopped);
+}
+
 TEST_F(WorkerProcessesTest, TellsWhyAWorkerCannotRun) {
   const auto workers = make();
   const auto link = workers->start(order("refuse"), told_.events());

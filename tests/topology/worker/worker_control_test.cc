@@ -8,6 +8,7 @@
 #include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/discovery/passing_registry.h>
 #include <iotcloud/tests/security/certificates.h>
 #include <iotcloud/tests/security/signer.h>
 #include <iotcloud/tests/topology/workshop.h>
@@ -21,6 +22,29 @@ using testing::Contains;
 using testing::HasSubstr;
 using testing::IsEmpty;
 using testing::Not;
+
+/// A registry that answers all questions at once, but in which what is to be held comes to stand only after answer():
+/// as when it denies a process its node, or is overloaded.
+class LateRegistry final : public tests::PassingRegistry {
+ public:
+  using PassingRegistry::PassingRegistry;
+
+  discovery::GuardPtr hold_eventually(const std::string& path, const std::string& data, bool sequential,
+                                      std::function<void(const std::string&)> on_created) override {
+    auto guard = std::make_unique<Late>();
+    answer_ = [this, held = guard->held, path, data, sequential, on_created = std::move(on_created)] {
+      *held = PassingRegistry::hold_eventually(path, data, sequential, on_created);
+    };
+    return guard;
+  }
+  void answer() { std::exchange(answer_, nullptr)(); }
+
+ private:
+  struct Late final : discovery::Guard {
+    const std::shared_ptr<discovery::GuardPtr> held = std::make_shared<discovery::GuardPtr>();
+  };
+  std::function<void()> answer_;
+};
 
 /// in -> work (2 tasks) -> what the test says, and its place in an embedded registry.
 class WorkerControlTest : public testing::Test {
@@ -75,6 +99,7 @@ class WorkerControlTest : public testing::Test {
     control.worker.since_ms = config::system_clock().wall_ms();
     control.masters = masters_;
     control.patience = patience;
+    control.on_joined = on_joined_;
     control.on_killed = [this] {
       ++killed_;
       control_->leave();
@@ -147,6 +172,8 @@ class WorkerControlTest : public testing::Test {
   std::vector<Tuple> kept_;               ///< guarded by mutex_
   OutputCollector* collector_ = nullptr;  ///< guarded by mutex_: of the task that ran last
   std::atomic<int> killed_{0};
+  std::atomic<int> joined_{0}, recorded_{0};  ///< how often it joined, and had a record then
+  std::function<void()> on_joined_;           ///< empty: nobody counts that
   std::unique_ptr<Runtime> runtime_;
   std::unique_ptr<WorkerControl> control_;
 };
@@ -234,6 +261,25 @@ TEST_F(WorkerControlTest, RunsAsDeclaredWhenTheRegistryIsSilentAndObeysWhenItSpe
   ASSERT_TRUE(eventually([&] { return runtime_->snapshot().active; }));
   server_->start();
   ASSERT_TRUE(says("inactive", 2));
+}
+
+TEST_F(WorkerControlTest, HasJoinedOnlyOnceARegistryThatAnswersLateHasItsRecord) {
+  auto late = std::make_unique<LateRegistry>(connect());
+  LateRegistry& registry = *late;
+  registry_ = std::move(late);
+  on_joined_ = [this] {
+    if (watcher_->get(paths_.workers("t"_topology) + "/w1")) ++recorded_;
+    ++joined_;
+  };
+  start();
+  ASSERT_TRUE(eventually([&] { return runtime_->snapshot().active; }));
+  EXPECT_EQ(joined_, 0) << "it works, but nobody finds it";
+  registry.answer();
+  ASSERT_TRUE(says("active", 0));
+  EXPECT_TRUE(eventually([&] { return joined_ == 1; }));
+  server_->expire(server_->sessions().back());
+  EXPECT_TRUE(eventually([&] { return joined_ == 2; })) << "its record went with its session, and is there again";
+  EXPECT_EQ(recorded_, 2);
 }
 
 TEST_F(WorkerControlTest, IsShownWithItsStateAgainAfterItsSessionExpired) {
