@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""The cluster of docker-compose.yml on this machine's Docker daemon: ./dev cluster up|status|bench|cli|certs|down
+"""The cluster of docker-compose.yml on this machine's Docker daemon: ./dev cluster up|status|bench|cli|storm|certs|down
 
 Its containers belong to the compose project `iotcloud` (COMPOSE_PROJECT_NAME), its files are in build/cluster; `down`
 removes both.
@@ -22,11 +22,12 @@ import revocation
 ROOT = Path(__file__).resolve().parents[2]
 OUT = ROOT / "build" / "cluster"
 SECRETS = OUT / "secrets"
+JARS = ROOT / "build" / "storm"  # of topologies for Apache Storm
 MASTERS, GATEWAYS = ["master-1", "master-2"], ["gateway-1", "gateway-2"]  # each gets a certificate
 WORKERS, POOLS = ["topology-1", "topology-2"], ["pool-1", "pool-2"]  # as these do
 USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never root
 REPORT = "/var/lib/iotcloud-reports/cluster.json"
-ALL_PROFILES = ["--profile", "whole", "--profile", "metrics", "--profile", "bench", "--profile", "tools"]
+ALL_PROFILES = [word for profile in ("whole", "metrics", "storm", "bench", "tools") for word in ("--profile", profile)]
 START_LIMIT_S = 300
 
 
@@ -61,14 +62,16 @@ FILES = {
               "rabbitmq.password": "workers.rabbitmq.password", "kafka.password": "workers.kafka.password",
               **({"tokens": f"{name}.tokens", "plugins.pub": "plugins.pub"} if name in POOLS else {})}
        for name in WORKERS + POOLS},
+    "supervisor": {"ca.pem": "ca.pem", "registry.users": "registry.users", "registry.password": "workers.registry.password",
+                   "rabbitmq.password": "workers.rabbitmq.password"},
     "prometheus": {"ca.pem": "ca.pem", "host.pem": "prometheus.pem", "host.key": "prometheus.key",
                    "prometheus.token": "prometheus.token"},
     "operator": OPERATOR,
     "bench": {**OPERATOR, "rabbitmq.password": "bench.rabbitmq.password", "kafka.password": "bench.kafka.password"},
 }
-# The server of this image runs as a user of the image's own, who must read them. On this machine nobody gets there, because the
+# The servers of these images run as a user of the image's own, who must read them. On this machine nobody gets there, because the
 # folder above is for its owner only.
-READ_BY_A_USER_OF_THE_IMAGE = {"kafka"}
+READ_BY_A_USER_OF_THE_IMAGE = {"kafka", "supervisor"}
 
 # What each user of RabbitMQ may configure, write and read, and with which routing keys it may write to the gateways' exchange
 # and read from it (keys and queues begin with the gateway's id, docs/wire.md#topics). All gateways have the exchange amq.topic,
@@ -384,8 +387,16 @@ Two pools run the topologies that are submitted, such as one that sends back wha
   ./dev cluster cli deploy loadgen.so --driver mirrored --gateway gateway-1 --property rate=100
   ./dev cluster cli topology kill mirror
 
-The command line sees this folder: `./dev cluster cli deploy --plugin ./build/release/plugins/turtle.so ...` sends a file.
+{storm}The command line sees this folder: `./dev cluster cli deploy --plugin ./build/release/plugins/turtle.so ...` sends a file.
 `./dev cluster bench` measures, `./dev cluster down` takes everything away.
+"""
+HOW_TO_STORM = """Apache Storm runs the topologies that are packed for it, such as one that does the same for the driver `mirrored-on-storm`:
+
+  ./dev build && ./dev storm jar
+  build/release/bin/iotcloud topology pack deploy/cluster/submitted/mirror-on-storm.yaml build/storm/mirror.jar
+  ./dev cluster storm jar mirror.jar iotcloud.storm.Submit
+  ./dev cluster storm list
+
 """
 
 
@@ -395,8 +406,8 @@ def up(given):
     make_secrets(docker)
     say("starting" + (" without Kafka" if given.small else ""))
     profile = [] if given.small else ["--profile", "whole"]
-    if given.metrics:
-        profile += ["--profile", "metrics"]
+    for name in ("metrics", "storm"):
+        profile += ["--profile", name] if getattr(given, name) else []
     log = OUT / "up.log"
     with open(log, "w", encoding="utf-8") as out:
         process = subprocess.Popen(docker.compose(*profile, "up", "-d", "--no-build"), cwd=ROOT, env=environment(),
@@ -406,7 +417,7 @@ def up(given):
         finally:
             process.terminate()
             process.wait()
-    print(HOW_TO)
+    print(HOW_TO.format(storm=HOW_TO_STORM if given.storm else ""))
 
 
 def require_up(docker):
@@ -443,12 +454,25 @@ def bench(given):
     say(f"the report is in the volume {project()}_reports, and in {report.relative_to(ROOT)}")
 
 
+def become(docker, service, words):
+    """Goes on as a service's command line."""
+    os.chdir(ROOT)
+    command = docker.once(service, *words)
+    os.execvpe(command[0], command, environment())
+
+
 def cli(given):
     docker = Docker()
     require_up(docker)
-    os.chdir(ROOT)
-    command = docker.once("cli", *given.words)
-    os.execvpe(command[0], command, environment())
+    become(docker, "cli", given.words)
+
+
+def storm(given):
+    docker = Docker()
+    if "nimbus" not in require_up(docker):
+        raise Refused("the cluster is up without Apache Storm: ./dev cluster up --storm")
+    JARS.mkdir(exist_ok=True)  # Docker would make it root's
+    become(docker, "storm", given.words)
 
 
 def certs(given):
@@ -525,8 +549,9 @@ def down(given):
 
 
 def main():
-    if sys.argv[1:2] == ["cli"]:  # all words after `cli` belong to iotcloud
-        return cli(argparse.Namespace(words=sys.argv[2:]))
+    own = {"cli": cli, "storm": storm}.get(sys.argv[1] if len(sys.argv) > 1 else "")
+    if own:  # all words behind belong to that program
+        return own(argparse.Namespace(words=sys.argv[2:]))
     parser = argparse.ArgumentParser(prog="./dev cluster", description="A whole IoTCloud in containers")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -538,10 +563,12 @@ def main():
     sub = command("up", up, "build the images, make the secrets, start it and wait until all is healthy")
     sub.add_argument("--small", action="store_true", help="without Kafka")
     sub.add_argument("--metrics", action="store_true", help="with a Prometheus that reads all daemons' pages")
+    sub.add_argument("--storm", action="store_true", help="with Apache Storm")
     command("status", status, "what runs, and what the masters say")
     command("bench", bench, "measure round trips through it").add_argument(
         "--quick", action="store_true", help="fewer sizes and rounds")
     command("cli", cli, "the command line iotcloud, as an admin")
+    command("storm", storm, "Apache Storm's own command line")
     sub = command("certs", certs, "renew or revoke certificates, and give them to the containers, which go on")
     sub.add_argument("verb", choices=["renew", "revoke"])
     sub.add_argument("words", nargs=argparse.REMAINDER, help="as those of `iotcloud certs`, without the folder")

@@ -3,7 +3,7 @@
 gateway, a worker, ZooKeeper and the brokers are killed one by one; each heals by itself, all certificates are renewed and some
 are revoked, and no message is lost.
 
-usage: cluster_test.py BUILD_DIR [--small] [--full]        (./dev cluster test builds what this needs; as root)
+usage: cluster_test.py BUILD_DIR [--small] [--storm] [--full]        (./dev cluster test builds what this needs; as root)
 """
 
 import argparse
@@ -25,6 +25,7 @@ ROOT = HERE.parents[1]
 sys.path[:0] = [str(HERE), str(HERE.parent / "servers")]
 
 import images  # noqa: E402
+import storm_jar  # noqa: E402
 from private_docker import Failed, PrivateDocker, end_on_signals, install_programs  # noqa: E402
 from private_cluster import require, wait_for  # noqa: E402
 
@@ -169,6 +170,30 @@ def check_pools(cluster):
     cluster.cli("undeploy", "--driver", "mirrored")
     print(f"a submitted topology runs in two pools; one was killed and was healthy again after {healed:.1f} s; of 2 x 3000 messages "
           "none is lost", flush=True)
+
+
+def check_storm(cluster, build):
+    """The sample topology for Apache Storm is packed and submitted by the commands that `up` printed, runs in two workers, and sends
+    back what comes."""
+    storm_jar.build()
+    jar = ROOT / "build/storm/mirror.jar"
+    try:
+        subprocess.run([build / "bin/iotcloud", "topology", "pack", "deploy/cluster/submitted/mirror-on-storm.yaml", jar], cwd=ROOT,
+                       check=True)
+        begin = time.monotonic()
+        cluster.dev("storm", "jar", jar.name, "iotcloud.storm.Submit", quiet=True)
+    finally:
+        jar.unlink(missing_ok=True)
+    for gateway in GATEWAYS:
+        cluster.cli("deploy", "loadgen.so", "--driver", "mirrored-on-storm", "--gateway", gateway, "--property", "rate=100", "--property",
+                    "count=1000", "--property", f"report=/var/lib/iotcloud-reports/{gateway}-on-storm.json")
+    for gateway in GATEWAYS:
+        name = f"{gateway}-on-storm"
+        wait_for(f"1000 messages of {gateway} are back", lambda name=name: report(cluster, name), HEAL_LIMIT_S)
+        result = report(cluster, name)
+        require(result["sent"] == 1000 and not result["lost"] and not result["damaged"], result)
+    cluster.cli("undeploy", "--driver", "mirrored-on-storm")
+    print(f"a topology runs on Apache Storm; of 2 x 1000 messages none is lost, after {time.monotonic() - begin:.1f} s", flush=True)
 
 
 def check_confined(cluster):
@@ -447,8 +472,8 @@ def everything(docker):
             for kind, command in {"container": ["ps", "-a"], "volume": ["volume", "ls"], "network": ["network", "ls"]}.items()}
 
 
-def check_up(cluster, kafka):
-    printed = cluster.dev("up", *([] if kafka else ["--small"]))
+def check_up(cluster, kafka, storm):
+    printed = cluster.dev("up", *([] if kafka else ["--small"]), *(["--storm"] if storm else []))
     command = next(line.strip() for line in printed.splitlines() if line.startswith("  ./dev cluster cli"))
     require("2 ready" in cluster.cli(*command.split()[3:]), f"`{command}` says: {cluster.cli(*command.split()[3:])}")
     print(f"the printed command works: {command}", flush=True)
@@ -462,8 +487,9 @@ def main():
     options = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     options.add_argument("build", type=Path)
     options.add_argument("--small", action="store_true", help="without Kafka")
+    options.add_argument("--storm", action="store_true", help="with Apache Storm")
     options.add_argument("--full", action="store_true",
-                         help="compile in the image, as `./dev cluster up` does elsewhere; half an hour on two cores")
+                         help="that, and compile in the image, as `./dev cluster up` does elsewhere; half an hour on two cores")
     given = options.parse_args()
     if os.geteuid() != 0:
         sys.exit("this test starts a Docker daemon in a network namespace: run it as root")
@@ -471,23 +497,26 @@ def main():
     install_programs()
     work = ROOT / "build/containers"
     work.mkdir(parents=True, exist_ok=True)
-    build, kafka = given.build.resolve(), not given.small
+    build, kafka, storm = given.build.resolve(), not given.small, given.storm or given.full
+    without = [*([] if kafka else ["kafka"]), *([] if storm else ["storm"])]
     begin = time.monotonic()
     require(not SECRETS.exists(), "a cluster is up from this folder: ./dev cluster down first")
     with PrivateDocker(work / "dockerd.log") as docker:
         print(f"a Docker daemon of its own, after {time.monotonic() - begin:.0f} s", flush=True)
-        cluster = Cluster(docker, images.load(docker, build, work, kafka, given.full), work, kafka)
+        cluster = Cluster(docker, images.load(docker, build, work, without, given.full), work, kafka)
         print(f"all images it needs, after {time.monotonic() - begin:.0f} s", flush=True)
         docker.docker("volume", "create", "foreign")
         docker.docker("create", "--name", "foreign", images.BASE, "true")
         before = everything(docker)
         try:
-            check_up(cluster, kafka)
+            check_up(cluster, kafka, storm)
             print("images: " + ", ".join(f"{tag} {size:.0f} MB" for tag, size in images.sizes(docker).items()), flush=True)
             check_confined(cluster)
             check_programs(cluster)
             check_round_trip(cluster)
             check_pools(cluster)
+            if storm:
+                check_storm(cluster, build)
             deploy_ledgers(cluster, build)
             check_renewal(cluster)
             check_faults(cluster)

@@ -23,9 +23,12 @@ sys.path.insert(0, str(ROOT / "deploy/cluster"))
 
 import cluster  # noqa: E402  (its folder is known now)
 SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2",
-            "pool-1", "pool-2", "prometheus"}
+            "pool-1", "pool-2", "prometheus", "nimbus", "supervisor"}
 DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2", "pool-1", "pool-2"}
-RUN_ONCE = {"bench", "cli", "secrets"}  # by a person, or by ./dev cluster
+RUN_ONCE = {"bench", "cli", "secrets", "storm"}  # by a person, or by ./dev cluster
+# Who is on ZooKeeper's network, without TLS: the other end of the tunnels, and Apache Storm, of which no port is published.
+NETWORKS = {"zookeeper": ["registry"], "registry-tls": ["default", "registry"], "nimbus": ["registry"],
+            "supervisor": ["default", "registry"], "storm": ["registry"]}
 # What gateways may share with others: it is public.
 SHARED = {"ca.pem", "revoked.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "plugins.pub"}
 FOLDER = re.compile(r"\$\{SECRETS:-\./build/cluster/secrets\}/([a-z0-9-]+):/run/secrets:ro")
@@ -67,14 +70,15 @@ def shared_secrets(services):
 
 
 def ways_around_the_tunnel(file):
-    """Only registry-tls is on ZooKeeper's network, and each daemon has a tunnel to it, with a certificate."""
+    """Only registry-tls and Apache Storm are on ZooKeeper's network, and each daemon has a tunnel to it, with a certificate."""
     services = file["services"]
     if file.get("networks") != {"registry": {"internal": True}}:
         yield "the network of ZooKeeper leads elsewhere"
     for name, service in services.items():
-        networks = {"zookeeper": ["registry"], "registry-tls": ["default", "registry"]}.get(name)
-        if service.get("networks") != networks:
+        if service.get("networks") != NETWORKS.get(name):
             yield f"{name} is on the networks {service.get('networks')}"
+        if name in NETWORKS and "ports" in service:
+            yield f"{name} publishes {service['ports']}, where nobody is asked who he is"
         if name in DAEMONS:
             if service["command"][0] != "iotcloud-with-registry-tunnel":
                 yield f"{name} has no tunnel to the registry"
@@ -91,8 +95,9 @@ def problems_of_configurations():
     folder = ROOT / "deploy/cluster"
     for file in [*folder.glob("*.yaml"), *folder.glob("submitted/*.yaml")]:
         found = re.findall(r"(?:zookeeper://|zk.servers: \[\")([^\"]*)", file.read_text(encoding="utf-8"))
-        if found != ["127.0.0.1:2181"]:
-            yield f"{file.name} has the registry {found}, not its tunnel"
+        expected = "zookeeper:2181" if file.stem.endswith("-on-storm") else "127.0.0.1:2181"
+        if found != [expected]:
+            yield f"{file.name} has the registry {found}, not {expected}"
         for name, broker in yaml.safe_load(file.read_text(encoding="utf-8")).get("brokers", {}).items():
             if not broker.get("user") or not broker.get("password_file", "").startswith("/run/secrets/"):
                 yield f"{file.name} comes to {name} without a user and a password of its own"
@@ -166,6 +171,10 @@ def check_that_it_finds(file):
         "pool-1 has no tunnel": lambda services: services["pool-1"]["command"].pop(0),
         "topology-1 has no certificate": lambda services: services["topology-1"].update(volumes=[]),
         "prometheus publishes": lambda services: services["prometheus"].update(ports=["${PROMETHEUS_PORT:-9090}:9090"]),
+        "nimbus is on the networks": lambda services: services["nimbus"].update(networks=["default", "registry"]),
+        "nimbus publishes": lambda services: services["nimbus"].update(ports=["127.0.0.1:${NIMBUS_PORT:-6627}:6627"]),
+        "supervisor has the secrets of pool-1":
+            lambda services: replace_volume(services["supervisor"], "secrets}/supervisor:", "secrets}/pool-1:"),
         "bench has secrets that are mounted as files": lambda services: services["bench"].update(secrets=["ca.pem"]),
     }
     for expected, break_it in breaks.items():

@@ -1,5 +1,6 @@
 #!/usr/bin/python3
-"""Every configuration of deploy/cluster passes its daemon's own check, with secrets as `./dev cluster up` makes them.
+"""Every configuration of deploy/cluster passes its daemon's own check, with secrets as `./dev cluster up` makes them, and so does
+every topology that is to be submitted there.
 
 usage: configuration_test.py BIN_DIR
 """
@@ -31,6 +32,23 @@ def secrets_named(text, services):
     for word in {word.strip(",}\"]") for word in text.split() if word.startswith("/run/secrets/")}:
         kind = next((kind for kind in ("gateway", "pool") if f"{{{kind}}}" in word), None)
         yield from {word.replace(f"{{{kind}}}", name) for name in services if name.startswith(f"{kind}-")} if kind else [word]
+
+
+def check_submitted(programs, work, secrets, services):
+    """The topologies name secrets that their workers' containers have."""
+    files = sorted(CONFIGURATIONS.glob("submitted/*.yaml"))
+    for original in files:
+        service = "supervisor" if original.stem.endswith("-on-storm") else "pool-1"
+        text = original.read_text(encoding="utf-8")
+        for secret in secrets_named(text, services):
+            if Path(secret).name not in cluster.FILES[service]:
+                sys.exit(f"{original.name} names {secret}, which docker-compose.yml does not give to {service}")
+        file = work / original.name
+        file.write_text(text.replace("/run/secrets", str(secrets / service)), encoding="utf-8")
+        done = run(programs / "iotcloud-topology", "--check", file)
+        if done.returncode:
+            sys.exit(f"{original.name}: {done.stderr or done.stdout}")
+    return len(files)
 
 
 def main():
@@ -65,7 +83,8 @@ def main():
             for secret in secrets_named(original, services):
                 if Path(secret).name not in cluster.FILES[folder]:
                     sys.exit(f"{name} names {secret}, which docker-compose.yml does not give to its service")
-    print(f"{len(used)} configurations are good")
+        submitted = check_submitted(programs, Path(work), secrets, services)
+    print(f"{len(used)} configurations and {submitted} topologies are good")
 
 
 if __name__ == "__main__":

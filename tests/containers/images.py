@@ -15,11 +15,12 @@ ROOT = HERE.parents[1]
 sys.path.insert(0, str(HERE.parent / "servers"))
 
 import maven_jars  # noqa: E402
+import storm as private_storm  # noqa: E402
 from private_docker import Failed, run  # noqa: E402
 
 BASE, SERVERS, BINARIES = "debian:bookworm-slim", "iotcloud-test:servers", "iotcloud-test:binaries"
 BUILD_BASE = "iotcloud-test:build-base"
-STAND_INS = {"RABBITMQ_IMAGE": "rabbitmq", "ZOOKEEPER_IMAGE": "zookeeper", "KAFKA_IMAGE": "kafka"}
+STAND_INS = {"RABBITMQ_IMAGE": "rabbitmq", "ZOOKEEPER_IMAGE": "zookeeper", "KAFKA_IMAGE": "kafka", "STORM_IMAGE": "storm"}
 OF_SERVERS = ["rabbitmq-server", "zookeeper", "libslf4j-java", "libsnappy-java", "openjdk-17-jre-headless", "procps"]
 
 
@@ -76,14 +77,15 @@ def debian(packages, work):
     return archive
 
 
-def load(docker, build, work, kafka, full):
-    """Loads all images into the daemon. Returns the variables of docker-compose.yml. `full`: the Dockerfile's stage `build`
-    makes the binaries, in a Debian with the compilers and headers that it names."""
+def load(docker, build, work, without, full):
+    """Loads all images into the daemon. Returns the variables of docker-compose.yml. `without`: stand-ins that nobody needs.
+    `full`: the Dockerfile's stage `build` makes the binaries, in a Debian with the compilers and headers that it names."""
     base = installed(r"(?s)FROM \$\{BINARIES\}.*")
     docker.import_image(BASE, debian(base, work))
     docker.import_image(SERVERS, debian(sorted({*base, *OF_SERVERS}), work))
-    stand_ins(docker, work, kafka)
-    told = {variable: f"iotcloud-test:{name}" for variable, name in STAND_INS.items() if kafka or name != "kafka"}
+    needed = {variable: name for variable, name in STAND_INS.items() if name not in without}
+    stand_ins(docker, work, needed.values())
+    told = {variable: f"iotcloud-test:{name}" for variable, name in needed.items()}
     if full:
         docker.import_image(BUILD_BASE, debian(sorted({*base, *installed(r"(?s)AS build\n.*?WORKDIR")}), work))
         return {**told, "BUILD_BASE_IMAGE": BUILD_BASE}
@@ -91,16 +93,21 @@ def load(docker, build, work, kafka, full):
     return {**told, "BINARIES": BINARIES}
 
 
-def stand_ins(docker, work, kafka):
+def stand_ins(docker, work, names):
     context = work / "stand_ins"
     shutil.rmtree(context, ignore_errors=True)
     shutil.copytree(HERE / "stand_ins", context)
-    if kafka:
+    if "kafka" in names:
         shutil.copytree(Path(maven_jars.fetch("kafka")).parent, context / "jars")
-    for name in STAND_INS.values():
-        if kafka or name != "kafka":
-            docker.docker("build", "--quiet", "--build-arg", f"SERVERS={SERVERS}", "--target", name, "-t",
-                          f"iotcloud-test:{name}", context)
+    if "storm" in names:
+        shutil.copytree(Path(maven_jars.fetch("storm")).parent, context / "storm-lib")
+        shutil.copytree(Path(maven_jars.fetch("storm_worker")).parent, context / "storm-lib-worker")
+        (context / "log4j2").mkdir()
+        for file, text in private_storm.LOG_SETTINGS.items():
+            (context / "log4j2" / file).write_text(text, encoding="utf-8")
+    for name in names:
+        docker.docker("build", "--quiet", "--build-arg", f"SERVERS={SERVERS}", "--target", name, "-t", f"iotcloud-test:{name}",
+                      context)
 
 
 def binaries(docker, build, work):

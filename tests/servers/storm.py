@@ -43,6 +43,9 @@ LOG4J = """<configuration monitorInterval="5" shutdownHook="disable">
 <loggers><root level="info"><appender-ref ref="A"/></root></loggers>
 </configuration>
 """
+LOG_SETTINGS = {name: LOG4J % {"file": file} for name, file in (
+    ("cluster.xml", "${sys:storm.log.dir}/${sys:logfile.name}"),
+    ("worker.xml", "${sys:workers.artifacts}/${sys:storm.id}/${sys:worker.port}/${sys:logfile.name}"))}
 # Ends a worker's JVM when this script ends, however it does: Storm lets workers go on without their supervisor.
 JAVA = """#!/bin/bash
 exec 9<"%s"
@@ -117,9 +120,8 @@ class Storm:
         wrapper = os.path.join(self.folder, "java", "bin", "java")
         self.write(wrapper, JAVA % (alive, os.path.realpath(java)))
         os.chmod(wrapper, stat.S_IRWXU)
-        for name, file in (("cluster", "${sys:storm.log.dir}/${sys:logfile.name}"),
-                           ("worker", "${sys:workers.artifacts}/${sys:storm.id}/${sys:worker.port}/${sys:logfile.name}")):
-            self.write(os.path.join(self.folder, "log4j2", name + ".xml"), LOG4J % {"file": file})
+        for name, text in LOG_SETTINGS.items():
+            self.write(os.path.join(self.folder, "log4j2", name), text)
         settings = {
             "storm.zookeeper.servers": '["127.0.0.1"]', "storm.zookeeper.port": self.zookeeper.port,
             "nimbus.seeds": '["127.0.0.1"]', "nimbus.thrift.port": self.port, "storm.local.hostname": '"127.0.0.1"',
