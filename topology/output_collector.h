@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 #include <span>
 #include <string>
 #include <string_view>
@@ -24,6 +25,15 @@ class OutputFieldsDeclarer {
 /// The id that a spout gives a tracked tuple; ack() and fail() get it back.
 using MessageId = std::uint64_t;
 
+/// Where messages of a spout come from, such as a reader at a broker. Thread safe.
+class TupleOrigin {
+ public:
+  virtual ~TupleOrigin() = default;
+  /// Whether its messages come again by themselves, here or to another reader, so that nobody waits for their tuples
+  /// any more. Once it is true it stays so.
+  virtual bool comes_again() const = 0;
+};
+
 /// How a spout emits. Only the spout's own calls may use it. emit never blocks and never drops a tuple; it throws
 /// std::invalid_argument for values that do not fit the stream's fields.
 class SpoutOutputCollector {
@@ -37,6 +47,10 @@ class SpoutOutputCollector {
   void emit_to(std::string_view stream, Values values, MessageId id) {
     do_emit(stream, std::move(values), no_task, &id);
   }
+  /// The same; the tuples of its tree are void once the message comes again (OutputCollector::is_void()).
+  void emit_to(std::string_view stream, Values values, MessageId id, std::shared_ptr<const TupleOrigin> origin) {
+    do_emit_from(std::move(origin), stream, std::move(values), id);
+  }
   void emit_direct(int task, std::string_view stream, Values values) {
     do_emit(stream, std::move(values), task, nullptr);
   }
@@ -49,9 +63,14 @@ class SpoutOutputCollector {
   static constexpr int no_task = -1;  ///< for `task`: the groupings choose the receivers
   /// \param id nullptr: not tracked.
   virtual void do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) = 0;
+  virtual void do_emit_from(std::shared_ptr<const TupleOrigin> origin, std::string_view stream, Values&& values,
+                            MessageId id) {
+    (void)origin;
+    do_emit(stream, std::move(values), no_task, &id);
+  }
 };
 
-/// How a bolt emits. Only the bolt's own calls may emit; any thread may call ack, fail and reset_timeout.
+/// How a bolt emits. Only the bolt's own calls may emit; any thread may call ack, fail, retry and reset_timeout.
 class OutputCollector {
  public:
   virtual ~OutputCollector() = default;
@@ -73,6 +92,16 @@ class OutputCollector {
   virtual void ack(const Tuple& tuple) = 0;
   /// Fails the tuple's tree: the runtime calls the spout's fail() soon, without waiting for the rest of the tree.
   virtual void fail(const Tuple& tuple) = 0;
+  /// Fails the tuple's tree as fail() does, but not because of the tuple: the runtime calls the spout's retry().
+  virtual void retry(const Tuple& tuple) { fail(tuple); }
+  /// Whether a message from which the tuple comes is not this worker's any more (TupleOrigin::comes_again()): another
+  /// one gets it, and may be ahead. A bolt that changes what other workers change too should retry() such a tuple. Only
+  /// the bolt's own calls may ask it. False for a tuple that it has acked or failed, for one that is not tracked, and
+  /// on Storm.
+  virtual bool is_void(const Tuple& tuple) const {
+    (void)tuple;
+    return false;
+  }
   /// Restarts the time-out of the tuple's tree.
   virtual void reset_timeout(const Tuple& tuple) = 0;
   virtual void report_error(const std::string& text) = 0;

@@ -27,11 +27,14 @@ class Spout {
   /// max_spout_pending tracked tuples are under way or a receiver's mailbox is full. \return true if there may be more
   /// now; false: the runtime calls again when a SpoutWaker wakes the task, or after poll_period().
   virtual bool next_tuple() = 0;
-  /// All tuples of the tree of message `id` were acked. Each tracked tuple gets either one ack() or one fail().
+  /// All tuples of the tree of message `id` were acked. Each tracked tuple gets one ack(), fail() or retry().
   virtual void ack(MessageId id) { (void)id; }
   /// A tuple of the tree of message `id` failed, or the message time-out passed. Emitting the message again is up to
   /// the spout.
   virtual void fail(MessageId id) { (void)id; }
+  /// As fail(), but nothing is wrong with the message (OutputCollector::retry()): a spout that gives up a message after
+  /// some tries should not count this one. Storm calls fail() instead.
+  virtual void retry(MessageId id) { fail(id); }
   /// If positive, the runtime calls next_tuple this long after it returned false, for sources that cannot wake it.
   virtual std::chrono::microseconds poll_period() const { return std::chrono::microseconds{0}; }
   /// Back pressure: called with true when the runtime stops calling next_tuple() because a receiver's mailbox is full

@@ -112,7 +112,7 @@ def main():
     begun = figures.begin(ROOT)
     choose = random.Random(given.seed)
     print(f"seed {given.seed}", flush=True)
-    with FaultCluster(given.build, "state", library="counting_bolt.so", spout=", properties: {maxTries: 1000}") as cluster:
+    with FaultCluster(given.build, "state", library="counting_bolt.so") as cluster:
         url = cluster.server("redis")
         cluster.bolt = BOLT % url
         cluster.start(gateways=2)

@@ -52,9 +52,19 @@ class Source {
     const std::lock_guard lock(mutex_);
     return failed_;
   }
+  /// Those of failed() for which nobody blames the message.
+  std::vector<MessageId> retried() const {
+    const std::lock_guard lock(mutex_);
+    return retried_;
+  }
   std::vector<std::string> calls() const {
     const std::lock_guard lock(mutex_);
     return calls_;
+  }
+  /// Where the tuples that are emitted from now on come from.
+  void come_from(std::shared_ptr<const TupleOrigin> origin) {
+    const std::lock_guard lock(mutex_);
+    origin_ = std::move(origin);
   }
   bool tracked = true;
 
@@ -67,9 +77,17 @@ class Source {
   mutable std::mutex mutex_;
   SpoutWaker waker_;
   std::deque<Values> waiting_;
-  std::vector<MessageId> acked_, failed_;
+  std::vector<MessageId> acked_, failed_, retried_;
   std::vector<std::string> calls_;
   MessageId next_id_ = 0;
+  std::shared_ptr<const TupleOrigin> origin_;
+};
+
+/// Its messages come again once the test says so.
+class Reader final : public TupleOrigin {
+ public:
+  bool comes_again() const override { return gone; }
+  std::atomic<bool> gone{false};
 };
 
 /// Emits the tuples of its Source, tracked with ids 1, 2, 3, ...
@@ -90,14 +108,18 @@ class SourceSpout : public Spout {
   bool next_tuple() override {
     Values values;
     MessageId id = 0;
+    std::shared_ptr<const TupleOrigin> origin;
     {
       const std::lock_guard lock(source_->mutex_);
       if (source_->waiting_.empty()) return false;
       values = std::move(source_->waiting_.front());
       source_->waiting_.pop_front();
       id = ++source_->next_id_;
+      origin = source_->origin_;
     }
-    if (source_->tracked) {
+    if (origin) {
+      collector_->emit_to(default_stream, std::move(values), id, std::move(origin));
+    } else if (source_->tracked) {
       collector_->emit(std::move(values), id);
     } else {
       collector_->emit(std::move(values));
@@ -111,6 +133,11 @@ class SourceSpout : public Spout {
   void fail(MessageId id) override {
     const std::lock_guard lock(source_->mutex_);
     source_->failed_.push_back(id);
+  }
+  void retry(MessageId id) override {
+    fail(id);
+    const std::lock_guard lock(source_->mutex_);
+    source_->retried_.push_back(id);
   }
 
  private:

@@ -67,6 +67,7 @@ class KeyValueState {
   std::int64_t get_int(std::string_view key, std::int64_t otherwise = 0) const;
   void put_int(std::string_view key, std::int64_t value) { put(key, std::to_string(value)); }
 
+  bool shared() const { return shared_; }  ///< StateStore::shared()
   /// How many checkpoints were written since this state was made, by earlier processes too (not with a shared store).
   std::uint64_t version() const { return state_.version; }
   /// Whether checkpoint() has something to write.

@@ -103,6 +103,8 @@ class HoldingCollector final : public OutputCollector {
     held_.push_back(tuple);
   }
   void fail(const Tuple& tuple) override { collector_.fail(tuple); }
+  void retry(const Tuple& tuple) override { collector_.retry(tuple); }
+  bool is_void(const Tuple& tuple) const override { return collector_.is_void(tuple); }
   void reset_timeout(const Tuple& tuple) override { collector_.reset_timeout(tuple); }
   void report_error(const std::string& text) override { collector_.report_error(text); }
   /// Takes the tuples acked so far.
@@ -134,6 +136,12 @@ class HoldingCollector final : public OutputCollector {
   OutputCollector& collector_;
   config::Mutex mutex_;
   std::vector<Tuple> held_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
+/// Another worker has messages whose changes are not written yet.
+class MessagesMoved : public StateError {
+ public:
+  using StateError::StateError;
 };
 
 /// Runs a StatefulBolt as a Bolt: holds its acks and makes the checkpoints, like Storm's StatefulBoltExecutor.
@@ -203,6 +211,7 @@ class StatefulBoltExecutor final : public Bolt {
     const std::vector<Tuple> held = holding_->take();
     try {
       bolt_->pre_checkpoint();
+      require_own_messages();
       const bool changed = state_->changed();
       state_->checkpoint();
       if (changed) {
@@ -215,18 +224,39 @@ class StatefulBoltExecutor final : public Bolt {
       holding_->put_back(held);
       for (const Tuple& tuple : held) collector_->reset_timeout(tuple);
       return;
+    } catch (const StateError& e) {  // no tuple is to blame
+      give_up(held, e.what(), &OutputCollector::retry);
+      return;
     } catch (const std::exception& e) {
-      give_up(held, e.what());
+      give_up(held, e.what(), &OutputCollector::fail);
       return;
     } catch (...) {
-      give_up(held, "something that is no std::exception");
+      give_up(held, "something that is no std::exception", &OutputCollector::fail);
       return;
     }
+    executed_.clear();
     for (const Tuple& tuple : held) collector_->ack(tuple);
+  }
+
+  /// With a shared store: makes sure that all that this checkpoint would write comes from messages that are still this
+  /// worker's. Only now it is too late for another worker to be ahead unseen: a worker that gets one of these messages
+  /// after this moment claims its keys after this task, so that the store refuses this checkpoint. \throws
+  /// MessagesMoved
+  void require_own_messages() const {
+    if (!state_->shared()) return;
+    const auto moved = std::count_if(executed_.begin(), executed_.end(),
+                                     [&](const Tuple& tuple) { return collector_->is_void(tuple); });
+    if (moved == 0) return;
+    throw MessagesMoved("the messages of " + std::to_string(moved) + " of " + std::to_string(executed_.size()) +
+                        " tuples are another worker's now; nothing was written");
   }
 
   /// \return false if the store is away: the tuple has changed nothing, and must wait
   bool execute_now(const Tuple& tuple) {
+    if (state_->shared() && collector_->is_void(tuple)) {
+      collector_->retry(tuple);  // it would claim a key that another worker has claimed for this very message
+      return true;
+    }
     state_->begin_call();
     const OfOneTuple group(*this, tuple);
     try {
@@ -237,6 +267,7 @@ class StatefulBoltExecutor final : public Bolt {
       tell_unavailable(e);
       return false;
     }
+    if (tuple.data()->tree != nullptr) executed_.push_back(tuple);
     tell_losses();
     return true;
   }
@@ -289,10 +320,13 @@ class StatefulBoltExecutor final : public Bolt {
     }
   }
 
-  void give_up(const std::vector<Tuple>& held, const std::string& why) {
+  /// Undoes all since the last checkpoint, and fails its tuples, also those that the bolt has not acked yet: their
+  /// changes are undone.
+  void give_up(const std::vector<Tuple>& held, const std::string& why, void (OutputCollector::*fail)(const Tuple&)) {
     failures_->add();
     state_->roll_back();
-    for (const Tuple& tuple : held) collector_->fail(tuple);
+    for (const Tuple& tuple : held) (collector_->*fail)(tuple);
+    for (const Tuple& tuple : std::exchange(executed_, {})) (collector_->*fail)(tuple);
     collector_->report_error("a checkpoint failed, and the tuples since the last one with it: " + why);
     bolt_->rolled_back();
   }
@@ -306,7 +340,8 @@ class StatefulBoltExecutor final : public Bolt {
   config::Counter* checkpoints_ = nullptr;
   config::Counter* failures_ = nullptr;
   config::Counter* losses_ = nullptr;
-  std::deque<Tuple> waiting_;  ///< for a store that is away
+  std::deque<Tuple> waiting_;    ///< for a store that is away
+  std::vector<Tuple> executed_;  ///< tracked ones, since the last checkpoint
   const TopologyContext* context_ = nullptr;
   bool is_grouped_ = false;        ///< the values of fields choose the task for all inputs
   std::string trouble_;            ///< as context_->troubles has it

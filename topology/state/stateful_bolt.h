@@ -17,7 +17,8 @@ namespace iotcloud::topology {
 
 /// A bolt whose state survives a restart (Storm's IStatefulBolt). It acks and fails through its collector as any bolt.
 /// The runtime gets its acks only when a checkpoint has made the tuples' changes durable; if the checkpoint fails, the
-/// tuples fail. Ticks trigger the checkpoints, and do not reach execute().
+/// tuples fail. Ticks trigger the checkpoints, and do not reach execute(). With a shared store, tuples whose messages
+/// are another worker's now (OutputCollector::is_void()) do not reach it either.
 class StatefulBolt {
  public:
   virtual ~StatefulBolt() = default;

@@ -21,20 +21,27 @@ using testing::IsEmpty;
 using testing::SizeIs;
 
 /// Fails the texts that it is told to fail, and counts what it sees.
-class PickyBolt final : public BasicBolt {
+class PickyBolt final : public Bolt {
  public:
   static void reset() {
     const std::lock_guard lock(mutex_);
     poison_.clear();
+    unlucky_.clear();
     seen_.clear();
   }
   static void poison(const std::string& text) {
     const std::lock_guard lock(mutex_);
     poison_.insert(text);
   }
+  /// Messages with this text fail, but not because of themselves.
+  static void make_unlucky(const std::string& text) {
+    const std::lock_guard lock(mutex_);
+    unlucky_.insert(text);
+  }
   static void heal() {
     const std::lock_guard lock(mutex_);
     poison_.clear();
+    unlucky_.clear();
   }
   static int seen(const std::string& text) {
     const std::lock_guard lock(mutex_);
@@ -44,20 +51,24 @@ class PickyBolt final : public BasicBolt {
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     declarer.declare(Fields{"text", "driverID", "time"});
   }
-  void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
+  void prepare(const Config&, const TopologyContext&, OutputCollector& collector) override { collector_ = &collector; }
+  void execute(const Tuple& tuple) override {
     const auto& text = tuple.get<std::string>("text");
     {
       const std::lock_guard lock(mutex_);
       ++seen_[text];
       if (poison_.contains(text)) throw std::runtime_error("poison");
+      if (unlucky_.contains(text)) return collector_->retry(tuple);
     }
-    collector.emit(Values(text, tuple.at("driverID"), tuple.at("time")));
+    collector_->emit(tuple, Values(text, tuple.at("driverID"), tuple.at("time")));
+    collector_->ack(tuple);
   }
 
  private:
   static inline std::mutex mutex_;
-  static inline std::set<std::string> poison_;     ///< guarded by mutex_
-  static inline std::map<std::string, int> seen_;  ///< guarded by mutex_
+  static inline std::set<std::string> poison_, unlucky_;  ///< guarded by mutex_
+  static inline std::map<std::string, int> seen_;         ///< guarded by mutex_
+  OutputCollector* collector_ = nullptr;
 };
 
 /// One server for all tests of this process; each test has topics of its own.
@@ -157,6 +168,20 @@ TEST_P(FailedMessages, AreRejectedAndCountedWithoutADeadLetterTopic) {
   ASSERT_TRUE(mailbox.wait_for(1));
   EXPECT_THAT(mailbox.texts(), ElementsAre("after"));
   EXPECT_EQ(PickyBolt::seen("bad"), 2);
+}
+
+TEST_P(FailedMessages, AreNotGivenUpForTriesThatABoltDoesNotBlameOnThem) {
+  const std::string driver = unique("one");
+  Mailbox mailbox(*broker_, topic(driver, "down"));
+  PickyBolt::make_unlucky("unlucky");
+  run_picky("{maxTries: 2, requeue: false}");
+  show_driver(driver);
+  const auto publisher = device(driver);
+  publisher->publish(message("unlucky", driver));
+  ASSERT_TRUE(eventually([&] { return PickyBolt::seen("unlucky") >= 4; }));
+  PickyBolt::heal();
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_EQ(metric("iotcloud_spout_rejected_total"), 0);
 }
 
 TEST_P(FailedMessages, AreTriedAgainUntilTheySucceedBeforeWhatTheirDriverSentBehindThem) {

@@ -182,9 +182,9 @@ class StandingClock final : public config::Clock {
 
 class Fenced : public Endpoints {
  protected:
-  Worker& run_fenced() {
+  Worker& run_fenced(BoltFactory gate = [] { return make_bolt<GateBolt>(); }) {
     ComponentRegistry components;
-    components.add_bolt<GateBolt>("Gate");
+    components.add_bolt("Gate", std::move(gate));
     WorkerOptions options{
         .definition = TopologyDefinition::parse("topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, "
                                                 "channel: up, fields: [text, driverID, time],"
@@ -253,6 +253,49 @@ TEST_F(Fenced, WhatWasInHandIsNotSentAndComesAgainFromTheBrokerInOrder) {
   EXPECT_TRUE(eventually([&] { return fenced() >= 1; }));
   EXPECT_THAT(down.texts(), ElementsAre("1", "2", "3", "4"));
   EXPECT_GE(Gate::inside, 5) << "the first one was worked on twice";
+}
+
+/// Says of each tuple that has passed the gate whether it is void, and acks it if it is not.
+class AskingBolt final : public Bolt {
+ public:
+  explicit AskingBolt(std::shared_ptr<std::vector<std::string>> answers) : answers_(std::move(answers)) {}
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"text", "driverID", "time"});
+  }
+  void prepare(const Config&, const TopologyContext&, OutputCollector& collector) override { collector_ = &collector; }
+  void execute(const Tuple& tuple) override {
+    std::unique_lock lock(Gate::mutex);
+    ++Gate::inside;
+    Gate::changed.notify_all();
+    Gate::changed.wait(lock, [] { return Gate::open; });
+    const bool is_void = collector_->is_void(tuple);
+    answers_->push_back(tuple.get<std::string>("text") + (is_void ? " is void" : " counts"));
+    is_void ? collector_->retry(tuple) : collector_->ack(tuple);
+  }
+
+ private:
+  const std::shared_ptr<std::vector<std::string>> answers_;  ///< guarded by Gate::mutex
+  OutputCollector* collector_ = nullptr;
+};
+
+TEST_F(Fenced, ABoltIsToldThatATupleIsVoidAndItsMessageComesAgain) {
+  const auto answers = std::make_shared<std::vector<std::string>>();
+  const auto up = device("i");
+  show_driver("i");
+  run_fenced([answers] { return std::make_unique<AskingBolt>(answers); });
+  Gate::set(false);
+  up->publish(message("1", "i"));
+  ASSERT_TRUE(Gate::wait_for_one());
+  fence_->raise();
+  Gate::set(true);
+  const auto said = [&] {
+    const std::lock_guard lock(Gate::mutex);
+    return *answers;
+  };
+  ASSERT_TRUE(eventually([&] { return !said().empty(); }));
+  fence_->beat();
+  EXPECT_TRUE(eventually([&] { return said().size() == 2; }));
+  EXPECT_THAT(said(), ElementsAre("1 is void", "1 counts"));
 }
 
 TEST_F(Fenced, WhatAPublisherHasNotSentYetIsDropped) {

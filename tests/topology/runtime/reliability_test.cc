@@ -81,6 +81,46 @@ TEST_F(Reliability, AcksOnlyWhenTheWholeTreeIsDone) {
   EXPECT_THAT(source->acked(), ElementsAre(1));
 }
 
+TEST_F(Reliability, ATupleIsVoidOnceAnyMessageFromWhichItComesComesAgain) {
+  const auto first = std::make_shared<Reader>(), second = std::make_shared<Reader>();
+  start(
+      [this](TopologyBuilder& builder) {
+        builder.set_bolt("join", join_of_two()).shuffle_grouping("in");
+        builder.set_bolt("keep", keeper()).shuffle_grouping("join");
+      },
+      bench.options());
+  source->come_from(first);
+  source->put(Values(1));
+  source->come_from(second);
+  source->put(Values(2));
+  ASSERT_EQ(kept.size(), 1U);
+  EXPECT_FALSE(collectors[0]->is_void(kept[0]));
+  second->gone = true;
+  EXPECT_TRUE(collectors[0]->is_void(kept[0]));
+  settle(0, true);
+  EXPECT_FALSE(collectors[0]->is_void(kept[0])) << "it is settled";
+  EXPECT_EQ(first.use_count(), 1) << "its tree is done";
+}
+
+TEST_F(Reliability, ATreeThatFailedOnlyByRetryIsNotBlamedOnItsMessage) {
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper(), 2).all_grouping("in"); },
+        bench.options());
+  source->put(Values(1));
+  collectors.at(0)->retry(kept.at(0));
+  collectors.at(1)->retry(kept.at(1));
+  runtime->run_until_idle();
+  EXPECT_THAT(source->failed(), ElementsAre(1));
+  EXPECT_THAT(source->retried(), ElementsAre(1));
+  source->put(Values(2));
+  settle(2, false);
+  collectors.at(3)->retry(kept.at(3));
+  runtime->run_until_idle();
+  source->put(Values(3));
+  pass(40s);
+  EXPECT_THAT(source->failed(), ElementsAre(1, 2, 3));
+  EXPECT_THAT(source->retried(), ElementsAre(1)) << "a bolt failed the second, and the third timed out";
+}
+
 TEST_F(Reliability, AFailureReachesTheSpoutAtOnceAndOnce) {
   start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper(), 2).all_grouping("in"); },
         bench.options());

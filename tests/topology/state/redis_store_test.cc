@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdlib>
 #include <fstream>
+#include <functional>
 #include <future>
 #include <memory>
 #include <set>
@@ -136,6 +137,88 @@ TEST_F(RedisState, ACheckpointWithoutAnAnswerIsMadeAgainAndCountsOnce) {
   }));
   EXPECT_EQ(task().get_int("a"), 2);
   EXPECT_EQ(task().find("erased"), nullptr);
+}
+
+/// Keeps the last text of each driver ("driver=text").
+struct Last : StatefulBolt {
+  explicit Last(std::shared_ptr<std::function<void()>> before_put = {}) : before_put_(std::move(before_put)) {}
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare({"word", "count"}); }
+  void prepare(const Config&, const TopologyContext&, OutputCollector& collector) override { out_ = &collector; }
+  void init_state(KeyValueState& state) override { state_ = &state; }
+  void execute(const Tuple& tuple) override {
+    const auto& text = tuple.get<std::string>("value");
+    if (before_put_ && *before_put_) (*before_put_)();
+    state_->put(text.substr(0, text.find('=')), text.substr(text.find('=') + 1));
+    out_->ack(tuple);
+  }
+
+ private:
+  const std::shared_ptr<std::function<void()>> before_put_;
+  OutputCollector* out_ = nullptr;
+  KeyValueState* state_ = nullptr;
+};
+
+/// Two workers that read the same driver one after the other.
+class TwoWorkers : public testing::Test {
+ protected:
+  TwoWorkers() : first_(kept_in_redis()), second_(kept_in_redis()) {
+    first_.source->come_from(reader_);
+    second_.source->come_from(std::make_shared<Reader>());
+  }
+  BoltFactory kept_in_redis() const {
+    return make_stateful_bolt<Last>({.store = server_.url(), .checkpoint = 100ms}, before_put_);
+  }
+  /// What a worker that begins now finds.
+  std::string last() const { return KeyValueState(make_state_store(server_.url()), {"t", "count", 0, 1}).get("d"); }
+
+  tests::PrivateServer server_{"redis.py"};
+  const std::shared_ptr<std::function<void()>> before_put_ = std::make_shared<std::function<void()>>();
+  const std::shared_ptr<Reader> reader_ = std::make_shared<Reader>();  ///< of the first worker
+  Counting first_, second_;
+};
+
+TEST_F(TwoWorkers, AWorkerThatLostADriverDoesNotWriteWhatItHadOfItOverTheStateOfTheNext) {
+  first_.put("d=1");
+  first_.pass(100ms);
+  reader_->gone = true;  // the first stood still, with "d=2" in hand; the second goes on
+  second_.put("d=2");
+  second_.put("d=3");
+  second_.pass(100ms);
+  EXPECT_THAT(second_.source->acked(), SizeIs(2));
+  second_.put("d=4");
+  first_.put("d=2");
+  first_.pass(100ms);
+  EXPECT_THAT(first_.source->retried(), ElementsAre(2));
+  second_.pass(100ms);
+  EXPECT_THAT(second_.source->failed(), IsEmpty()) << "the first has claimed nothing";
+  EXPECT_EQ(last(), "4");
+}
+
+TEST_F(TwoWorkers, AWorkerThatLosesADriverWhileItExecutesWritesNothingOfIt) {
+  *before_put_ = [this] {
+    *before_put_ = {};
+    reader_->gone = true;  // the first stands still in the middle of "d=1"
+    second_.put("d=1");
+    second_.put("d=2");
+    second_.pass(100ms);
+    EXPECT_THAT(second_.source->acked(), SizeIs(2));
+  };
+  first_.put("d=1");  // claims the key after the second has written it
+  first_.pass(100ms);
+  EXPECT_THAT(first_.source->acked(), IsEmpty());
+  EXPECT_THAT(first_.source->retried(), ElementsAre(1));
+  EXPECT_THAT(first_.runtime->snapshot().component("count").last_error,
+              HasSubstr("the messages of 1 of 1 tuples are another worker's now"));
+  EXPECT_EQ(last(), "2");
+}
+
+TEST_F(TwoWorkers, AMessageIsNotToBlameForAnotherWorkersClaim) {
+  first_.put("d=1");
+  second_.put("d=2");  // it claims the key
+  first_.pass(100ms);
+  EXPECT_THAT(first_.runtime->snapshot().component("count").last_error, HasSubstr("were claimed by another"));
+  EXPECT_THAT(first_.source->failed(), ElementsAre(1));
+  EXPECT_THAT(first_.source->retried(), ElementsAre(1));
 }
 
 /// A topology that counts in a server.

@@ -134,6 +134,28 @@ TEST(StatefulBolts, AFailedCheckpointFailsTheTuplesSinceTheLastOneAndTheirReplay
   EXPECT_THAT(counting.source->acked(), ElementsAre(1, 3));
 }
 
+/// Acks a tuple when the next one has come, and fails its next checkpoint when told.
+struct Hesitant : Fragile {
+  using Fragile::Fragile;
+  void execute(const Tuple& tuple) override {
+    state_->put_int("a", state_->get_int("a") + 1);
+    if (before_) out_->ack(before_);
+    before_ = tuple;
+  }
+  Tuple before_{};
+};
+
+TEST(StatefulBolts, AFailedCheckpointFailsATupleThatTheBoltAcksOnlyLater) {
+  auto broken = std::make_shared<bool>(true);
+  Counting counting(make_stateful_bolt<Hesitant>({.store = "memory://hesitant", .checkpoint = 100ms}, broken));
+  counting.put("a");
+  counting.pass(100ms);
+  EXPECT_THAT(counting.source->failed(), ElementsAre(1)) << "its change is undone, so its ack would be wrong";
+  counting.put("a");
+  counting.pass(100ms);
+  EXPECT_THAT(counting.source->acked(), IsEmpty());
+}
+
 TEST(StatefulBolts, TheConfigurationNamesStoreAndPeriod) {
   const Folder folder;
   {

@@ -135,7 +135,8 @@ void BrokerSpout::emit(ChannelMessage arrival) {
     return;
   }
   ++arrival.tries;
-  collector_->emit_to(endpoint_.stream, std::move(values), keep(std::move(arrival)));
+  const std::shared_ptr<TopicReader> origin = arrival.reader.shared();
+  collector_->emit_to(endpoint_.stream, std::move(values), keep(std::move(arrival)), origin);
 }
 
 std::chrono::microseconds BrokerSpout::poll_period() const {
@@ -163,7 +164,7 @@ void BrokerSpout::ack(MessageId id) {
 
 /// Whether the broker delivers the message again by itself, so that this spout must drop it.
 bool BrokerSpout::comes_again(const ChannelMessage& arrival) {
-  return arrival.reader->closed() || arrival.reader->is_void();
+  return arrival.reader->comes_again();
 }
 
 void BrokerSpout::fail(MessageId id) {
@@ -171,14 +172,30 @@ void BrokerSpout::fail(MessageId id) {
   if (!arrival) return;
   if (comes_again(*arrival)) {
     retries_.done(*arrival);
-  } else if (endpoint_.reading.requeue && arrival->tries < endpoint_.reading.max_tries) {
-    retried_->add();
-    retries_.add(std::move(*arrival), services_->clock->now());
+  } else if (endpoint_.reading.requeue && arrival->tries - arrival->excused < endpoint_.reading.max_tries) {
+    try_again(std::move(*arrival));
   } else {
     retries_.done(*arrival);
     give_up(std::move(*arrival), tuple_failed);
   }
   waker_.wake();
+}
+
+void BrokerSpout::retry(MessageId id) {
+  auto arrival = take(id);
+  if (!arrival) return;
+  if (comes_again(*arrival)) {
+    retries_.done(*arrival);
+  } else {
+    ++arrival->excused;
+    try_again(std::move(*arrival));
+  }
+  waker_.wake();
+}
+
+void BrokerSpout::try_again(ChannelMessage arrival) {
+  retried_->add();
+  retries_.add(std::move(arrival), services_->clock->now());
 }
 
 void BrokerSpout::give_up(ChannelMessage arrival, const std::string& reason) {

@@ -16,7 +16,8 @@ namespace iotcloud::topology {
 
 /// A spout that emits the messages of a driver's channel. With manual acknowledgement (the default) it settles a
 /// message when its tuple tree is done. A message whose tuple failed is emitted again after a pause, and given up after
-/// `maxTries` tries: it is moved to the dead-letter topic, or rejected if there is none.
+/// `maxTries` tries: it is moved to the dead-letter topic, or rejected if there is none. Tries for whose failure a bolt
+/// does not blame the message (OutputCollector::retry()) do not count.
 class BrokerSpout final : public Spout {
  public:
   /// \param dead_letters null: messages that are given up are rejected.
@@ -37,6 +38,7 @@ class BrokerSpout final : public Spout {
   bool next_tuple() override;
   void ack(MessageId id) override;
   void fail(MessageId id) override;
+  void retry(MessageId id) override;
   std::chrono::microseconds poll_period() const override;
 
  private:
@@ -44,6 +46,7 @@ class BrokerSpout final : public Spout {
   bool bring(ChannelMessage arrival);
   bool is_first_after_fence(const ChannelMessage& arrival);
   void emit(ChannelMessage arrival);
+  void try_again(ChannelMessage arrival);
   static bool comes_again(const ChannelMessage& arrival);
   void give_up(ChannelMessage arrival, const std::string& reason);
   Values values_of(const ChannelMessage& arrival) const;

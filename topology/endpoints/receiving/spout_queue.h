@@ -43,7 +43,8 @@ struct ChannelMessage {
   HeldReader reader;
   /// Destroyed before `reader`: an unsettled message goes back to the broker before it leaves the reader's hand.
   brokers::Delivery delivery;
-  int tries = 0;  ///< how often it was emitted
+  int tries = 0;    ///< how often it was emitted
+  int excused = 0;  ///< of these tries, those that failed for no fault of the message
 
   // For Retries:
   std::uint64_t sequence = 0;           ///< the order of the messages of one task

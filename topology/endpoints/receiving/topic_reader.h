@@ -13,11 +13,12 @@
 #include <iotcloud/topology/endpoints/receiving/held_messages.h>
 #include <iotcloud/topology/endpoints/receiving/spout_queue.h>
 #include <iotcloud/topology/endpoints/standstill_fence.h>
+#include <iotcloud/topology/output_collector.h>
 
 namespace iotcloud::topology {
 
 /// Reads one topic into a SpoutQueue. Its owner must call close(). Thread safe.
-class TopicReader : public std::enable_shared_from_this<TopicReader> {
+class TopicReader : public TupleOrigin, public std::enable_shared_from_this<TopicReader> {
  public:
   /// The sender of the messages that do not name theirs: the driver instance is empty for a shared channel.
   struct Sender {
@@ -59,6 +60,8 @@ class TopicReader : public std::enable_shared_from_this<TopicReader> {
   /// Whether the fence was raised since open(). Messages that came before are void then, and the reader holds those
   /// that come after until it is closed.
   bool is_void() const { return fence_->count() != opened_at_; }
+  /// Whether the broker delivers the messages of this reader again by itself: they are void, or it is closed.
+  bool comes_again() const override { return closed() || is_void(); }
   /// StandstillFence::count() at open().
   std::uint64_t fence_count() const { return opened_at_; }
   /// Whether the broker delivers to this reader; false while disconnected, or while another reader has the topic.

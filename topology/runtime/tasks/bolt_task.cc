@@ -230,6 +230,16 @@ void BoltTask::answer(Answer answer, const Tuple& tuple) {
   environment_.scheduler->schedule(*this);
 }
 
+bool BoltTask::is_void(const Tuple& tuple) const {
+  if (!tuple || tuple.data()->stream == tick_stream_) return false;
+  TupleCell& cell = *cell_of(tuple);
+  // A delivery that is not settled keeps its trees.
+  if (!cell.tracked() || cell.open_delivery(this) == nullptr) return false;
+  bool any = false;
+  cell.for_each_tree([&](const Tree* tree) { any = any || (tree->origin && tree->origin->comes_again()); });
+  return any;
+}
+
 void BoltTask::take_answers() {
   std::vector<std::pair<Answer, Tuple>> answers;
   {
@@ -255,7 +265,10 @@ void BoltTask::settle(Answer answer, const Tuple& tuple) {
   bump(answer == Answer::ack ? counts_.acked : counts_.failed);
   if (delivery == nullptr) return;
   if (delivery->executed_ns != 0) process_latency_.record_ns(real_ns() - delivery->executed_ns);
-  cell.settle(*delivery, answer == Answer::fail ? Tree::failed : std::uint8_t{0});
+  std::uint8_t flags = 0;
+  if (answer == Answer::fail) flags = Tree::failed | Tree::blamed;
+  if (answer == Answer::retry) flags = Tree::failed;
+  cell.settle(*delivery, flags);
 }
 
 }  // namespace iotcloud::topology::internal

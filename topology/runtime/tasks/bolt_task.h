@@ -53,11 +53,13 @@ class BoltTask final : public Task, private OutputCollector {
   void discard();
 
  private:
-  enum class Answer : std::uint8_t { ack, fail, reset };
+  enum class Answer : std::uint8_t { ack, fail, retry, reset };
 
   void do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) override;
   void ack(const Tuple& tuple) override;
   void fail(const Tuple& tuple) override { answer(Answer::fail, tuple); }
+  void retry(const Tuple& tuple) override { answer(Answer::retry, tuple); }
+  bool is_void(const Tuple& tuple) const override;
   void reset_timeout(const Tuple& tuple) override { answer(Answer::reset, tuple); }
   void report_error(const std::string& text) override { Task::report_error(text); }
 

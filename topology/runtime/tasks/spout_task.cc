@@ -182,6 +182,7 @@ void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, cons
   if (emitter_.chosen() > 0) {
     if (id != nullptr && environment_.options->acking) {
       Tree* tree = Tree::make(*this, *id, now_ns_);
+      tree->origin = std::move(origin_);
       tree->open.store(emitter_.send(*lane_, std::move(values), {&tree, 1}, born), std::memory_order_relaxed);
       track(*tree);
       return;
@@ -189,6 +190,18 @@ void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, cons
     emitter_.send(*lane_, std::move(values), {}, born);
   }
   if (id != nullptr) acked_at_once_.push_back(*id);
+}
+
+void SpoutTask::do_emit_from(std::shared_ptr<const TupleOrigin> origin, std::string_view stream, Values&& values,
+                             MessageId id) {
+  origin_ = std::move(origin);
+  try {
+    do_emit(stream, std::move(values), no_task, &id);
+  } catch (...) {
+    origin_.reset();
+    throw;
+  }
+  origin_.reset();
 }
 
 void SpoutTask::take_acked_at_once() {
@@ -241,6 +254,7 @@ void SpoutTask::finish(Tree& tree, bool acked, bool timed_out) {
   unlink(tree);
   pending_.fetch_sub(1, std::memory_order_relaxed);
   const MessageId id = tree.id;
+  const bool blamed = timed_out || (tree.flags.load(std::memory_order_acquire) & Tree::blamed) != 0;
   if (acked) {
     complete_latency_.record_ns(std::max<std::int64_t>(now_ns_ - tree.emitted_ns, 0));
     bump(counts_.acked);
@@ -252,8 +266,10 @@ void SpoutTask::finish(Tree& tree, bool acked, bool timed_out) {
   tree.let_go();
   if (acked) {
     guarded("ack()", [&] { spout_->ack(id); });
-  } else {
+  } else if (blamed) {
     guarded("fail()", [&] { spout_->fail(id); });
+  } else {
+    guarded("retry()", [&] { spout_->retry(id); });
   }
 }
 

@@ -61,6 +61,8 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   static constexpr std::size_t slots = 9;
 
   void do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) override;
+  void do_emit_from(std::shared_ptr<const TupleOrigin> origin, std::string_view stream, Values&& values,
+                    MessageId id) override;
   void report_error(const std::string& text) override { Task::report_error(text); }
 
   void switch_activity();
@@ -102,6 +104,7 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   /// the call, so that what the spout checks in the call (is this message still mine?) it checks after that time. 0: no
   /// call runs, or tuples do not record their birth.
   std::int64_t asked_ns_ = 0;
+  std::shared_ptr<const TupleOrigin> origin_;  ///< of the tuple in do_emit_from()
   bool active_ = false;
   bool throttled_ = false;
   std::vector<MessageId> acked_at_once_;  ///< messages whose tuple has no receiver, or is not tracked (`acking` is off)

@@ -28,7 +28,9 @@ void Tree::close(std::uint64_t change, std::uint8_t flag) noexcept {
 }
 
 void Tree::let_go() noexcept {
-  if (holders.fetch_sub(1, std::memory_order_acq_rel) == 1) Pool<Tree>::give(this);
+  if (holders.fetch_sub(1, std::memory_order_acq_rel) != 1) return;
+  origin.reset();
+  Pool<Tree>::give(this);
 }
 
 void TupleCell::recycle() noexcept {

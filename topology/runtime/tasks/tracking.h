@@ -24,6 +24,8 @@ struct Tree {
   static constexpr std::uint8_t failed = 1;
   /// A bolt dropped a tuple without ack or fail: only the time-out ends the tree.
   static constexpr std::uint8_t lost = 2;
+  /// With `failed`: something is wrong with the message, so that its spout counts the try.
+  static constexpr std::uint8_t blamed = 4;
 
   std::atomic<std::uint64_t> open{0};
   std::atomic<std::uint8_t> flags{0};
@@ -34,6 +36,7 @@ struct Tree {
   // For the owner; only its slices use these.
   SpoutTask* owner = nullptr;
   MessageId id = 0;
+  std::shared_ptr<const TupleOrigin> origin;  ///< may be null; holders of the tree may ask it
   std::int64_t emitted_ns = 0;
   bool abandoned = false;  ///< all deliveries are settled, at least one because a bolt dropped its tuple
   Tree* newer = nullptr;   ///< neighbours in a slot of the owner's timing wheel
@@ -42,7 +45,7 @@ struct Tree {
   Tree* next_posted = nullptr;  ///< the next one in the owner's stack of posted trees
 
   static Tree* make(SpoutTask& owner, MessageId id, std::int64_t now_ns);
-  /// Settles one delivery. \param change XOR of its id and its children's ids. \param flag 0 for an ack, or one of the
+  /// Settles one delivery. \param change XOR of its id and its children's ids. \param flag 0 for an ack, or the
   /// constants above.
   void close(std::uint64_t change, std::uint8_t flag) noexcept;
   void let_go() noexcept;
