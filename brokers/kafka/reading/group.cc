@@ -294,16 +294,24 @@ void ConsumerGroup::on_assign(const rd_kafka_topic_partition_list_t& partitions)
   for (rd_kafka_topic_partition_t& entry : std::span(list->elems, static_cast<std::size_t>(list->cnt))) {
     const PartitionKey key(entry.topic, entry.partition);
     Committed committed;
-    if (error == RD_KAFKA_RESP_ERR_NO_ERROR && entry.err == RD_KAFKA_RESP_ERR_NO_ERROR) {
+    const rd_kafka_resp_err_t problem = error != RD_KAFKA_RESP_ERR_NO_ERROR ? error : entry.err;
+    committed.known = problem == RD_KAFKA_RESP_ERR_NO_ERROR;
+    if (committed.known) {
       committed.offset = entry.offset;
       if (entry.metadata != nullptr) {
         committed.metadata.assign(static_cast<const char*>(entry.metadata), entry.metadata_size);
       }
+    } else {
+      logger.warn(
+          "group {}: its server does not say where it is in partition {} of topic {}: {}; the library asks again, and "
+          "what comes first may come a second time",
+          member_->name, entry.partition, entry.topic, rd_kafka_err2str(problem));
     }
     Progress progress(committed, reader_->handed_on(*member_, key));
-    entry.offset = progress.start() >= 0                 ? progress.start()
-                   : error == RD_KAFKA_RESP_ERR_NO_ERROR ? RD_KAFKA_OFFSET_BEGINNING
-                                                         : RD_KAFKA_OFFSET_STORED;
+    entry.offset = progress.start() >= 0 ? progress.start()
+                   : committed.known     ? RD_KAFKA_OFFSET_BEGINNING
+                                         : RD_KAFKA_OFFSET_STORED;
+    entry.err = RD_KAFKA_RESP_ERR_NO_ERROR;
     assigned_.insert(key);
     if (!ending())
       reader_->assigned(std::make_shared<PartitionFeed>(reader_, member_, client_, key, std::move(progress)));

@@ -286,7 +286,7 @@ std::optional<std::uint64_t> PartitionReader::backlog(const TopicSubscriber& sub
   const config::MutexLock lock(core_.mutex);
   std::optional<std::uint64_t> sum;
   for (const auto& [key, feed] : subscriber.member->feeds) {
-    if (feed->subscriber.get() != &subscriber || feed->withheld) continue;
+    if (feed->subscriber.get() != &subscriber || feed->withheld || !feed->progress.placed()) continue;
     std::int64_t oldest = 0;
     std::int64_t end = 0;
     // What the library remembers of its last fetch: no request, and no wait.

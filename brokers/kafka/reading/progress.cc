@@ -32,8 +32,11 @@ std::optional<std::int64_t> to_offset(std::string_view text) {
 }  // namespace
 
 Progress::Progress(const Committed& committed, std::int64_t handed_on)
-    : start_(committed.offset), next_(std::max<std::int64_t>(committed.offset, 0)), handed_on_(handed_on) {
-  if (committed.offset < 0) return;  // the group has committed nothing for this partition yet
+    : start_(committed.offset),
+      next_(std::max<std::int64_t>(committed.offset, 0)),
+      placed_(committed.known),
+      handed_on_(handed_on) {
+  if (committed.known && committed.offset < 0) return;  // the group has committed nothing for this partition yet
   doubtful_ = true;
   read_metadata(committed);
 }
@@ -69,6 +72,7 @@ bool Progress::maybe_handed_on(std::int64_t offset, std::int64_t log_end) {
 void Progress::note(std::int64_t offset) {
   if (offset < next_) settled_before_.clear();  // the topic was deleted and made again
   next_ = offset + 1;
+  placed_ = true;
   offsets_.push_back(offset);
 }
 
@@ -88,6 +92,7 @@ std::int64_t Progress::handed_on() const {
 }
 
 std::optional<Committed> Progress::to_commit(bool final) {
+  if (!placed_) return std::nullopt;
   handed_on_ = handed_on();
   const std::uint64_t first = window_.advance();
   for (; first_tag_ < first; ++first_tag_) offsets_.pop_front();

@@ -19,6 +19,7 @@ using client::Arrived;
 struct Committed {
   std::int64_t offset = -1;  ///< the first unsettled offset; below 0: nothing was committed yet
   std::string metadata;      ///< our own text beside it, see Progress; at most 4096 bytes
+  bool known = true;         ///< false: the server did not say what the group has committed
 };
 
 /// One reader's way through one partition: received messages, settled ones, and what to commit. Kafka keeps one number
@@ -30,8 +31,10 @@ class Progress {
   /// \param handed_on the first offset that this process, as far as it knows, has not handed on
   Progress(const Committed& committed, std::int64_t handed_on);
 
-  /// The first offset to read; below 0: the oldest in the partition.
+  /// The first offset to read; below 0: the oldest in the partition, or, unless placed(), what the server says later.
   std::int64_t start() const { return start_; }
+  /// Whether the group's place is known: what it has committed, or the first record that has arrived.
+  bool placed() const { return placed_; }
   /// The first offset that has not arrived.
   std::int64_t expects() const { return next_; }
   /// Whether an earlier reader settled this offset, although one before it was unsettled.
@@ -56,7 +59,8 @@ class Progress {
   /// The first offset that was not handed on.
   std::int64_t handed_on() const;
 
-  /// The offset to commit now; nullopt if it was committed already. \param final nothing more is handed on
+  /// The offset to commit now; nullopt if it was committed already, or unless placed(): the group's place would be
+  /// overwritten. \param final nothing more is handed on
   std::optional<Committed> to_commit(bool final);
   /// The last commit did not reach the server.
   void commit_failed() { committed_.reset(); }
@@ -69,6 +73,7 @@ class Progress {
 
   std::int64_t start_;
   std::int64_t next_;  ///< the first offset that has not arrived
+  bool placed_;
   /// The first offset that was not handed on, among deliveries that have left the window; see handed_on().
   std::int64_t handed_on_;
   bool doubtful_ = false;                    ///< an earlier reader may have handed on anything

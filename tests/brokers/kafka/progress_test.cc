@@ -52,6 +52,22 @@ TEST(KafkaProgress, AGroupThatNeverReadStartsAtTheOldestAndSaysSoAtOnce) {
   EXPECT_FALSE(progress.next().redelivered);
 }
 
+TEST(KafkaProgress, AGroupWhosePlaceIsNotKnownCommitsNothingBeforeItsFirstRecordAndDoubtsAllThatIsThere) {
+  Progress progress({-1, "", false}, 0);
+  EXPECT_LT(progress.start(), 0);
+  EXPECT_FALSE(progress.to_commit(false)) << "it would overwrite the group's place";
+  EXPECT_FALSE(progress.to_commit(true));
+  EXPECT_FALSE(progress.placed());
+  arrive(progress, 40);
+  EXPECT_EQ(progress.to_commit(false)->offset, 40);
+  const auto first = progress.next();
+  EXPECT_TRUE(first.redelivered);
+  progress.settle(first.tag, Settlement::accept);
+  EXPECT_EQ(progress.to_commit(true)->offset, 41);
+  arrive(progress, log_end);
+  EXPECT_FALSE(progress.next().redelivered);
+}
+
 TEST(KafkaProgress, TheNextReaderSkipsWhatWasSettledOutOfOrder) {
   Progress before({10, ""}, 0);
   for (int offset = 10; offset < 20; ++offset) arrive(before, offset);
