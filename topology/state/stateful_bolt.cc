@@ -210,7 +210,7 @@ class StatefulBoltExecutor final : public Bolt {
     // checkpoint, because its change may not be in this one.
     const std::vector<Tuple> held = holding_->take();
     try {
-      bolt_->pre_checkpoint();
+      call_pre_checkpoint();
       require_own_messages();
       const bool changed = state_->changed();
       state_->checkpoint();
@@ -236,6 +236,16 @@ class StatefulBoltExecutor final : public Bolt {
     }
     executed_.clear();
     for (const Tuple& tuple : held) collector_->ack(tuple);
+  }
+
+  void call_pre_checkpoint() {
+    state_->begin_call();
+    try {
+      bolt_->pre_checkpoint();
+    } catch (const StateUnavailable&) {
+      state_->undo_call();
+      throw;
+    }
   }
 
   /// With a shared store: makes sure that all that this checkpoint would write comes from messages that are still this

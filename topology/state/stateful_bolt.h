@@ -41,7 +41,9 @@ class StatefulBolt {
   /// state is put back as it was before this call, and the tuple is executed again, and not acked or failed before. So
   /// use the state before you ack the tuple.
   virtual void execute(const Tuple& tuple) = 0;
-  /// Called before a checkpoint: the last moment to put data into the state that the bolt keeps outside of it.
+  /// Called before a checkpoint: the last moment to put data into the state that the bolt keeps outside of it. As in
+  /// execute(), let StateUnavailable pass: the state is put back as it was before this call, which is made again later.
+  /// So forget such data only at the end of the call.
   virtual void pre_checkpoint() {}
   /// Called after a failed checkpoint. The state is that of the checkpoint before it; data that the bolt keeps outside
   /// of the state must be set back too.

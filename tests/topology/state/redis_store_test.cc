@@ -5,6 +5,7 @@
 #include <fstream>
 #include <functional>
 #include <future>
+#include <map>
 #include <memory>
 #include <set>
 #include <string>
@@ -249,6 +250,39 @@ TEST(StateWithoutItsRedis, TuplesWaitAndNothingIsAckedUntilItIsBack) {
   EXPECT_THAT(counting.source->failed(), IsEmpty());
   EXPECT_THAT(counting.seen(), testing::UnorderedElementsAre("a=1", "a=2", "a=3", "a=4", "b=1"));
   EXPECT_EQ(KeyValueState(make_state_store(server.url()), {"t", "count", 0, 1}).get_int("a"), 4);
+}
+
+/// Counts outside of its state, and adds that to the state before a checkpoint.
+struct LateCount : Count {
+  void execute(const Tuple& tuple) override {
+    const auto& word = tuple.get<std::string>("value");
+    if (word == "a") state_->find(word);
+    ++counted_[word];
+    out_->ack(tuple);
+  }
+  void pre_checkpoint() override {
+    for (const auto& [word, count] : counted_) state_->put_int(word, state_->get_int(word) + count);
+    counted_.clear();
+  }
+  std::map<std::string, int> counted_{};
+};
+
+TEST(StateWithoutItsRedis, WhatABoltAddsBeforeACheckpointThatFailsInTheMiddleCountsOnce) {
+  tests::PrivateServer server("redis.py");
+  Counting counting(make_stateful_bolt<LateCount>({.store = server.url(), .checkpoint = 100ms}));
+  counting.put("a");  // its key is read, so that adding to it needs no server
+  counting.put("b");
+  server.kill();
+  for (int i = 0; i < 3; ++i) counting.pass(100ms);
+  EXPECT_THAT(counting.source->acked(), IsEmpty());
+  server.start();
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    return counting.source->acked().size() == 2;
+  }));
+  KeyValueState state(make_state_store(server.url()), {"t", "count", 0, 1});
+  EXPECT_EQ(state.get_int("a"), 1);
+  EXPECT_EQ(state.get_int("b"), 1);
 }
 
 int times(const std::string& words, const std::string& text) {
