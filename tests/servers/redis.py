@@ -1,10 +1,10 @@
 #!/usr/bin/python3
 """A private Redis for tests, on loopback only, that leaves nothing behind.
 
-    redis.py --dir DIR [--port N] [--tls] [--appendonly no]
+    redis.py --dir DIR [--port N] [--tls] [--appendonly no] [--cluster]
 
 Runs one server with its data and log below DIR. It writes each command to its log on the disk before it answers
-(appendfsync always); with `--appendonly no` it keeps no log. When it takes commands it prints one line on stdout:
+(appendfsync always); with `--appendonly no` it keeps no log. With --cluster it is a node of a Redis Cluster. When it takes commands it prints one line on stdout:
 
     READY redis://127.0.0.1:PORT
 
@@ -38,14 +38,15 @@ FOLLOW_LIMIT_S = 30
 class Redis(private_server.Server):
     name = "Redis"
 
-    def __init__(self, folder, port=0, tls=False, appendonly="yes"):
+    def __init__(self, folder, port=0, tls=False, appendonly="yes", cluster=False):
         super().__init__(folder)
         self.port = port or private_server.free_ports(1)[0]
         if tls:
             self.certificates = certificates.Certificates(self.folder)
         self.config = self.write("redis.conf", [
             "bind 127.0.0.1", "dir " + self.folder, "daemonize no", 'save ""', "appendonly " + appendonly,
-            "appendfsync always", "repl-diskless-sync-delay 0", *(self.security() if tls else ["port %d" % self.port])])
+            "appendfsync always", "repl-diskless-sync-delay 0", *(self.security() if tls else ["port %d" % self.port]),
+            *(["cluster-enabled yes", "cluster-port %d" % private_server.free_ports(1)[0]] if cluster else [])])
 
     def security(self):
         path = self.certificates.path
@@ -104,8 +105,9 @@ def main():
     parser = private_server.options("A private Redis")
     private_server.add_client_options(parser)
     parser.add_argument("--appendonly", choices=("yes", "no"), default="yes", help="no: a restart forgets everything")
+    parser.add_argument("--cluster", action="store_true", help="a node of a Redis Cluster")
     given = parser.parse_args()
-    private_server.run(lambda: Redis(given.dir, given.port, given.tls, given.appendonly))
+    private_server.run(lambda: Redis(given.dir, given.port, given.tls, given.appendonly, given.cluster))
 
 
 if __name__ == "__main__":

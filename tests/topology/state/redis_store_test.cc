@@ -330,14 +330,72 @@ TEST(StateWithoutItsRedis, ATopologyStartsAndItsTuplesWait) {
   EXPECT_THAT(counting.seen(), ElementsAre("a=1"));
 }
 
+/// "HOST:PORT"
+std::string host_of(const tests::PrivateServer& server) {
+  return server.url().substr(std::string("redis://").size());
+}
+std::string port_of(const tests::PrivateServer& server) {
+  return server.url().substr(server.url().rfind(':') + 1);
+}
+
+TEST(ARedisThatFailsOver, AndComesBackAsAMasterIsNotUsedBesideItsSuccessor) {
+  tests::PrivateServer first("redis.py"), second("redis.py");
+  second.kill();
+  Counting counting(counting_in(first.url() + "," + host_of(second)));
+  const auto count_one = [&] {
+    const std::size_t before = counting.source->acked().size();
+    counting.put("a");
+    return eventually([&] {
+      counting.pass(100ms);
+      return counting.source->acked().size() == before + 1;
+    });
+  };
+  ASSERT_TRUE(count_one());
+  second.start();
+  second.command("follow " + port_of(first), "FOLLOWING");
+  first.kill();
+  second.command("lead", "LEADS");
+  ASSERT_TRUE(count_one());
+  first.start();  // it does not know that it was away
+
+  KeyValueState other(make_state_store(second.url() + "," + host_of(first)), {"t", "count", 0, 1});  // another worker's
+  for (const tests::PrivateServer* each : {&first, &second})
+    EXPECT_THAT(problem_of([&] { other.find("b"); }), AllOf(HasSubstr(host_of(*each)), HasSubstr("both say")));
+  EXPECT_TRUE(count_one()) << "who uses the second goes on";
+  second.kill();
+  second.start();
+  counting.put("a");
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    const auto troubles = counting.runtime->snapshot().troubles;
+    return !troubles.empty() && troubles.front().text.find("both say") != std::string::npos;
+  }));
+  EXPECT_EQ(counting.source->acked().size(), 3U);
+
+  first.command("follow " + port_of(second), "FOLLOWING");
+  EXPECT_TRUE(eventually([&] {
+    counting.pass(100ms);
+    return counting.source->acked().size() == 4;
+  }));
+  EXPECT_EQ(counting.seen().back(), "a=4");
+  EXPECT_TRUE(eventually([&] { return problem_of([&] { other.find("b"); }).empty(); }));
+}
+
+TEST(ARedisThatFailsOver, IsOneServerAlsoUnderTwoNames) {
+  tests::PrivateServer server("redis.py");
+  KeyValueState state(make_state_store(server.url() + ",localhost:" + port_of(server)), {"t", "count", 0, 1});
+  EXPECT_EQ(problem_of([&] { state.find("a"); }), "");
+}
+
 TEST(ARedisThatFailsOver, LosesItsLastWritesAndThatIsFoundAndSaid) {
   tests::PrivateServer first("redis.py"), second("redis.py");
-  const auto port_of = [](const std::string& url) { return url.substr(url.rfind(':') + 1); };
-  Counting counting(counting_in(first.url() + ",127.0.0.1:" + port_of(second.url())));
+  second.kill();
+  Counting counting(counting_in(first.url() + "," + host_of(second)));
   counting.put("a");
   counting.pass(100ms);
-  second.command("follow " + port_of(first.url()), "FOLLOWING");
-  second.command("lead", "LEADS");  // as if its link had been slow since
+  second.start();
+  second.command("follow " + port_of(first), "FOLLOWING");
+  second.command("lead", "LEADS");  // as if its link had been slow since; nobody asks it while the first is there
   for (const char* word : {"a", "a"}) {
     counting.put(word);
     counting.pass(100ms);
@@ -361,11 +419,12 @@ TEST(ARedisThatFailsOver, LosesItsLastWritesAndThatIsFoundAndSaid) {
 
 TEST(ARedisThatFailsOver, IsSaidOnceByAWorkerThatWroteNothingToo) {
   tests::PrivateServer first("redis.py"), second("redis.py");
-  const auto port_of = [](const std::string& url) { return url.substr(url.rfind(':') + 1); };
   const tests::CapturedLog log;
-  const auto store = make_state_store(first.url() + ",127.0.0.1:" + port_of(second.url()));
+  second.kill();
+  const auto store = make_state_store(first.url() + "," + host_of(second));
   KeyValueState reader(store, {"t", "count", 0, 2});
-  second.command("follow " + port_of(first.url()), "FOLLOWING");
+  second.start();
+  second.command("follow " + port_of(first), "FOLLOWING");
   second.command("lead", "LEADS");
   const auto reads = [](KeyValueState& state, const std::string& key) {
     return eventually([&] {
@@ -384,7 +443,7 @@ TEST(ARedisThatFailsOver, IsSaidOnceByAWorkerThatWroteNothingToo) {
   KeyValueState other(store, {"t", "count", 1, 2});
   ASSERT_TRUE(reads(other, "c"));
   EXPECT_EQ(times("may have lost the last checkpoints", log.text()), 1);
-  EXPECT_TRUE(log.contains("from 127.0.0.1:" + port_of(first.url()) + " to 127.0.0.1:" + port_of(second.url())));
+  EXPECT_TRUE(log.contains("from " + host_of(first) + " to " + host_of(second)));
   second.kill();
   EXPECT_EQ(problem_of([&] { reader.find("d"); }).empty(), false);
   second.start();
@@ -407,6 +466,12 @@ TEST(ARedisThatMayForget, WhatItHasWhenItRestartsIsSaidOnceWithWhatToSet) {
   EXPECT_TRUE(eventually([&] { return problem_of([&] { state.find("a"); }).empty(); }));
   EXPECT_EQ(state.find("a"), nullptr) << "an acked checkpoint is lost";
   EXPECT_EQ(times("set appendonly yes and appendfsync always", log.text()), 1);
+}
+
+TEST(ARedisCluster, IsRefusedAtTheStart) {
+  tests::PrivateServer server("redis.py", {"--cluster"});
+  EXPECT_THAT(problem_of([&] { const Counting counting(counting_in(server.url())); }),
+              HasSubstr("is a node of a Redis Cluster"));
 }
 
 TEST(ARedisThatMayForget, IsRefusedAtTheStartWithWhatToSet) {

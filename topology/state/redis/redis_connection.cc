@@ -51,7 +51,10 @@ RedisReply reply_of(const redisReply& given) {
 }  // namespace
 
 RedisConnection::RedisConnection(const RedisAddress& address, const RedisServer& server, milliseconds limit)
-    : limit_(limit), name_(server.host + ":" + std::to_string(server.port)), reader_(redisReaderCreate()) {
+    : limit_(limit),
+      server_(server),
+      name_(server.host + ":" + std::to_string(server.port)),
+      reader_(redisReaderCreate()) {
   end_ = steady_clock::now() + limit_;
   try {
     connect(server);

@@ -42,6 +42,7 @@ class RedisConnection {
   RedisReply ask(const std::vector<std::string>& words);
   /// "HOST:PORT"
   const std::string& name() const { return name_; }
+  const RedisServer& server() const { return server_; }
 
  private:
   using Instant = std::chrono::steady_clock::time_point;
@@ -57,7 +58,8 @@ class RedisConnection {
   [[noreturn]] void fail(const std::string& what) const;
 
   const std::chrono::milliseconds limit_;
-  std::string name_;
+  const RedisServer server_;
+  const std::string name_;
   int socket_ = -1;
   Instant end_{};  ///< when the step that is under way must be done
   struct Free {

@@ -1,4 +1,5 @@
 #include <chrono>
+#include <exception>
 #include <string_view>
 
 #include <iotcloud/config/log.h>
@@ -101,6 +102,7 @@ void RedisPool::make_sure() {
 /// A connection to the master: one that waits, or a new one. \throws as connect()
 RedisPool::Lent RedisPool::take() {
   std::uint64_t generation = 0;
+  std::optional<RedisServer> master;
   {
     const config::MutexLock lock(mutex_);
     if (!idle_.empty()) {
@@ -110,8 +112,9 @@ RedisPool::Lent RedisPool::take() {
     }
     if (clock_.now() < again_at_) throw StateUnavailable(last_problem_);
     generation = generation_;
+    master = server_;
   }
-  return open(generation);
+  return open(generation, master);
 }
 
 void RedisPool::give_back(Lent lent) {
@@ -132,47 +135,82 @@ void RedisPool::give_up(std::uint64_t generation, std::string problem) {
 void RedisPool::begin_generation() {
   ++generation_;
   idle_.clear();
+  server_.reset();
   look_at_ = {};
 }
 
-/// Connects to the master.
-RedisPool::Lent RedisPool::open(std::uint64_t generation) {
-  std::string problems;
-  for (const RedisServer& server : address_.servers) {
+/// Connects to the master. \param master the server of the generation's other connections; empty: look for it.
+RedisPool::Lent RedisPool::open(std::uint64_t generation, const std::optional<RedisServer>& master) {
+  try {
+    auto connection = open_master(master ? std::vector{*master} : address_.servers);
+    const std::uint64_t now = found(generation, *connection);
+    return {std::move(connection), now};
+  } catch (const StateError& error) {
+    give_up(generation, error.what());
+    throw;
+  }
+}
+
+/// Asks all of these servers, also behind the first master: one that died and came back without following its successor
+/// says that it is the master, too, and has an older state.
+std::unique_ptr<RedisConnection> RedisPool::open_master(const std::vector<RedisServer>& servers) {
+  std::unique_ptr<RedisConnection> master;
+  std::string problems, master_id;
+  std::exception_ptr refusal;
+  for (const RedisServer& server : servers) {
+    std::unique_ptr<RedisConnection> connection;
+    std::string id;
     try {
-      Lent lent{std::make_unique<RedisConnection>(address_, server, answer_limit), generation};
-      greet(*lent.connection);
-      found(lent.connection->name());
-      return lent;
+      connection = std::make_unique<RedisConnection>(address_, server, answer_limit);
+      id = greet(*connection);
     } catch (const StateUnavailable& error) {
       problems += (problems.empty() ? "" : "; ") + std::string(error.what());
-    } catch (const StateError& error) {
-      give_up(generation, error.what());
-      throw;
+      continue;
+    } catch (const StateError&) {
+      if (!refusal) refusal = std::current_exception();
+      continue;
+    }
+    if (!master) {
+      master = std::move(connection);
+      master_id = std::move(id);
+    } else if (id != master_id) {  // not the same server under two names
+      throw StateUnavailable(
+          "the Redis at " + master->name() + " and the one at " + connection->name() +
+          " both say that they are the master, so one of them has old states; no state is used until "
+          "one follows the other: let the one that was away follow (REPLICAOF), which drops what "
+          "it has");
     }
   }
-  give_up(generation, problems);
+  if (master) return master;
+  if (refusal) std::rethrow_exception(refusal);
   throw StateUnavailable(problems);
 }
 
 /// Remembers the master. If it is another one than before, says so, and sees that no connection to that one is used: a
-/// task that wrote a lost key finds that by itself; one that did not write it cannot.
-void RedisPool::found(const std::string& master) {
+/// task that wrote a lost key finds that by itself; one that did not write it cannot. \return the connection's
+/// generation
+std::uint64_t RedisPool::found(std::uint64_t generation, const RedisConnection& master) {
   std::string before;
   {
     const config::MutexLock lock(mutex_);
-    before = std::exchange(master_, master);
-    if (before.empty() || before == master) return;
-    begin_generation();
+    before = std::exchange(master_, master.name());
+    const bool is_another = !before.empty() && before != master.name();
+    if (is_another) {
+      begin_generation();
+      generation = generation_;
+    }
+    if (generation == generation_) server_ = master.server();
+    if (!is_another) return generation;
   }
   state_logger.warn(
       "the state store failed over from {} to {}, which may have lost the last checkpoints, whose messages were "
       "acknowledged: Redis copies to replicas after it has answered",
-      before, master);
+      before, master.name());
+  return generation;
 }
 
-/// Logs in, and checks that the server is the master and keeps what it has.
-void RedisPool::greet(RedisConnection& server) {
+/// Logs in, and checks that the server is the master and keeps what it has. \return what tells it from other servers
+std::string RedisPool::greet(RedisConnection& server) {
   try {
     const std::string password = password_of(address_);
     if (!address_.user.empty()) {
@@ -181,6 +219,11 @@ void RedisPool::greet(RedisConnection& server) {
       server.ask({"AUTH", password});
     }
     const std::string info = server.ask({"INFO"}).text;
+    if (info_of(info, "cluster_enabled") == "1") {
+      throw StateError("the Redis at " + server.name() +
+                       " is a node of a Redis Cluster, where a checkpoint could not be written whole: its keys are on "
+                       "several nodes; give a Redis of its own, or a master and its replicas");
+    }
     if (const std::string role = info_of(info, "role"); role != "master") {
       throw StateUnavailable("the Redis at " + server.name() + " is no master but a " + role);
     }
@@ -190,15 +233,17 @@ void RedisPool::greet(RedisConnection& server) {
     if (const std::string policy = info_of(info, "maxmemory_policy"); policy != keeps_all) {
       throw StateError("the Redis at " + server.name() + " " + forgetful(policy));
     }
-    if (info_of(info, "aof_enabled") == "1") return;
+    std::string id = info_of(info, "run_id");
+    if (info_of(info, "aof_enabled") == "1") return id;
     {
       const config::MutexLock lock(mutex_);
-      if (!told_of_restarts_.insert(server.name()).second) return;
+      if (!told_of_restarts_.insert(server.name()).second) return id;
     }
     state_logger.warn(
         "the Redis at {} keeps no log on the disk, so when it restarts it loses checkpoints whose messages were "
         "acknowledged; set appendonly yes and appendfsync always",
         server.name());
+    return id;
   } catch (const RedisRefusal& refusal) {
     const std::string text = refusal.what();
     const std::string what = "the Redis at " + server.name() + " refuses: " + text;

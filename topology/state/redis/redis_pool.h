@@ -2,6 +2,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <set>
 #include <string>
 #include <utility>
@@ -15,8 +16,9 @@
 namespace iotcloud::topology::internal {
 
 /// Connections to the master of a Redis, as many as threads ask at the same time: each thread waits for its own answer
-/// only, and holds no lock meanwhile. When one connection fails, the pool gives up all of them, and asks nobody for 200
-/// ms. It uses no server that may drop keys when its memory is full. Thread safe.
+/// only, and holds no lock meanwhile. When one connection fails, the pool gives up all of them, asks nobody for 200 ms,
+/// and then asks all servers which of them is the master. It uses no server that may drop keys when its memory is full,
+/// and none while two say that they are the master. Thread safe.
 class RedisPool {
  public:
   /// \param clock outlives the pool
@@ -46,9 +48,10 @@ class RedisPool {
 
   Lent take();
   void give_back(Lent lent);
-  Lent open(std::uint64_t generation);
-  void greet(RedisConnection& server);
-  void found(const std::string& master);
+  Lent open(std::uint64_t generation, const std::optional<RedisServer>& master);
+  std::unique_ptr<RedisConnection> open_master(const std::vector<RedisServer>& servers);
+  std::string greet(RedisConnection& server);
+  std::uint64_t found(std::uint64_t generation, const RedisConnection& master);
   void give_up(std::uint64_t generation, std::string problem);
   void begin_generation() IOTCLOUD_REQUIRES(mutex_);
 
@@ -58,6 +61,8 @@ class RedisPool {
   std::vector<std::unique_ptr<RedisConnection>> idle_ IOTCLOUD_GUARDED_BY(mutex_);
   /// How often all connections were given up; those that were lent before the last time are not taken back.
   std::uint64_t generation_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  /// The server of this generation's connections; empty: none was opened.
+  std::optional<RedisServer> server_ IOTCLOUD_GUARDED_BY(mutex_);
   config::Clock::Instant again_at_ IOTCLOUD_GUARDED_BY(mutex_){};  ///< no attempt to connect before this time
   config::Clock::Instant look_at_ IOTCLOUD_GUARDED_BY(mutex_){};   ///< make_sure() does not ask before this time
   std::string last_problem_ IOTCLOUD_GUARDED_BY(mutex_);           ///< why the pool gave up its connections last
