@@ -260,6 +260,28 @@ void refuse_double_readers(const std::vector<ComponentDefinition>& spouts) {
   }
 }
 
+/// Whether the file says that this broker is a Kafka.
+bool is_kafka(const std::string& broker, const std::map<std::string, brokers::BrokerOptions>& brokers) {
+  const auto found = brokers.find(broker);
+  if (found == brokers.end() || found->second.urls.empty()) return broker == "kafka";
+  return found->second.urls.front().starts_with("kafka");
+}
+
+/// Refuses names of Kafka's groups with the mark that tells the groups of a topic's partitions apart: "a#1" is the
+/// group of partition 1 of a topology "a".
+void refuse_marks_in_groups(const TopologyDefinition& definition) {
+  constexpr const char* problem = "\" has a \"#\", behind which Kafka's groups have the number of a partition";
+  constexpr const char* help = "choose a name without it: another topology may have that group";
+  for (const auto& spout : definition.spouts) {
+    if (!spout.endpoint || !is_kafka(spout.endpoint->broker, definition.brokers)) continue;
+    const std::string& group = spout.endpoint->group;
+    if (group.find('#') != std::string::npos) throw spout.section.error("group", "\"" + group + problem, help);
+    if (group.empty() && definition.name.str().find('#') != std::string::npos) {
+      throw definition.root.error("topology.name", "\"" + definition.name.str() + problem, help);
+    }
+  }
+}
+
 }  // namespace
 
 TopologyDefinition TopologyDefinition::read(YamlSection& root, const std::string& file) {
@@ -299,6 +321,7 @@ TopologyDefinition TopologyDefinition::read(YamlSection& root, const std::string
   for (auto& [id, section] : root.sections("bolts")) definition.bolts.push_back(read_bolt(id, section, names));
   root.finish();
   refuse_double_readers(definition.spouts);
+  refuse_marks_in_groups(definition);
   return definition;
 }
 

@@ -257,6 +257,21 @@ TEST(TopologyDefinition, LetsTwoSpoutsReadOneChannelInDifferentGroupsOnly) {
   EXPECT_EQ(error_of(with_spout(good_spout + second + "    group: g\n")), "");
 }
 
+TEST(TopologyDefinition, RefusesTheMarkOfPartitionsInTheNamesOfKafkasGroups) {
+  const auto problem = [](const std::string& name, const std::string& broker, const std::string& group) {
+    return error_of("registry: embedded://x\ntopology.name: \"" + name +
+                    "\"\nbrokers: {kafkaesque: \"amqp://127.0.0.1\", lab: {urls: [\"kafkas://127.0.0.1:9093\"]}}\n"
+                    "spouts:\n  s: {broker: " +
+                    broker + ", driver: d, channel: c, fields: [f]" + group + "}\n");
+  };
+  const std::string mark = "has a \"#\", behind which Kafka's groups have the number of a partition";
+  EXPECT_THAT(problem("a#1", "kafka", ""), AllOf(HasSubstr("topology.name: \"a#1\" " + mark)));
+  EXPECT_THAT(problem("a#1", "lab", ""), HasSubstr("topology.name: "));
+  EXPECT_THAT(problem("a", "kafka", ", group: \"g#2\""), HasSubstr("spouts.s.group: \"g#2\" " + mark));
+  EXPECT_EQ(problem("a#1", "kafka", ", group: g"), "") << "Kafka's groups are not named by it";
+  EXPECT_EQ(problem("a#1", "kafkaesque", ", group: \"g#2\""), "");
+}
+
 TEST(TopologyDefinition, WithoutFurtherKeysHasAsManyTasksAsExecutorsAndNoDeadlines) {
   const auto definition =
       TopologyDefinition::parse(with_bolt("    class: x\n    parallelism: 3\n    inputs: {from: s}\n"), "t.yaml");
