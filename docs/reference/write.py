@@ -6,7 +6,7 @@ usage: write.py BUILD_DIR [--check]      (./dev reference; --check: only say whe
 Each daemon reads its default file of the folder above with all that is commented out there taken in, and lists the keys
 that it asked for (--list-keys): names, kinds, defaults and limits come from the code that reads them. What a key means
 comes from the comment above it in that file, or from the tables of a README; a key of which neither says anything is an
-error. What depends on the file's own values (the default of `tasks`, the names of brokers, `driver` or `sensor`) comes from
+error. What depends on the file's own values (the default of `tasks`, of a field's name, the names of brokers, `driver` or `sensor`) comes from
 two more files that differ in these. The keys of `conf` that our classes take, with all that is said of them, come from where the classes declare them
 (ConfKey in topology/conf_keys.h), by the program list_conf_keys.
 """
@@ -49,12 +49,13 @@ PROBE = """\
 registry: "embedded://probe"
 topology.name: probe
 brokers: {{{broker}: "amqp://127.0.0.1/"}}
-spouts: {{read: {{broker: {broker}, {driver}: probe, channel: in, fields: [data, driverID], parallelism: {parallelism}}}}}
-bolts: {{send: {{broker: {broker}, {driver}: probe, channel: out, fields: [data, driverID], parallelism: {parallelism},
-                inputs: [{{from: read}}]}}}}
+spouts: {{read: {{broker: {broker}, {driver}: probe, channel: in, fields: [data, driverID, {{property: {property}}}],
+                parallelism: {parallelism}}}}}
+bolts: {{send: {{broker: {broker}, {driver}: probe, channel: out, fields: [data, driverID, {{property: {property}}}],
+                parallelism: {parallelism}, inputs: [{{from: read}}]}}}}
 """
-PROBES = ({"broker": "lab-broker", "driver": "driver", "parallelism": 17},
-          {"broker": "hall-broker", "driver": "sensor", "parallelism": 19})
+PROBES = ({"broker": "lab-broker", "driver": "driver", "property": "battery", "parallelism": 17},
+          {"broker": "hall-broker", "driver": "sensor", "property": "site", "parallelism": 19})
 # Classes of ours that read `conf`: what they are, how their keys begin, what tells of each; by their names in list_conf_keys.
 CLASSES = {
     "windows": ("Windowed bolts", "window.", "topology/windows/README.md"),
@@ -202,7 +203,7 @@ def for_any_file(binaries):
 
     true = {}
     for key in lists[0]:
-        if not re.match(r"(spouts|bolts)\.<name>\.\w+$", key):
+        if not re.match(r"(spouts|bolts)\.<name>\.\w+(\[\]\.\w+)?$", key):
             continue
         value = fallback = None
         if len(set(each(key, "allowed"))) > 1:

@@ -278,7 +278,7 @@ TEST_F(KafkaPartitions, ThatAreAddedAreReadAndTheOthersAreReadOnFromWhereTheyWer
   const std::size_t before = WhoReadsBolt::reads().size();
   add_partitions(topic_of("up"), partitions);
   publishers_.clear();
-  publish_on("up", broker_with(partitions));  // a client learns of new partitions within minutes, a new one at once
+  publish_on("up", broker_with(partitions));  // a client learns of new partitions after seconds, a new one at once
   ASSERT_TRUE(until_tasks_read(partitions));
   // At least once: what was not committed when the group settled anew comes again, but not all from the beginning.
   EXPECT_LT(WhoReadsBolt::reads().size(), static_cast<std::size_t>(sent_ * instances) + before / 2);
