@@ -91,6 +91,13 @@ BrokerUrl parse_broker_url(const std::string& url) {
   return parsed;
 }
 
+std::uint16_t server_port(const BrokerUrl& url) {
+  constexpr std::uint16_t amqp = 5672, amqps = 5671, kafka = 9092;
+  if (url.port != 0) return url.port;
+  if (url.scheme.starts_with("kafka")) return kafka;
+  return url.scheme.ends_with('s') ? amqps : amqp;
+}
+
 std::string printable_url(const std::string& url) {
   const auto scheme_end = url.find("://");
   const std::size_t start = scheme_end == std::string::npos ? 0 : scheme_end + 3;

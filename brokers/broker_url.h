@@ -19,4 +19,7 @@ struct BrokerUrl {
 /// \throws config::Error that shows the URL without its password and says what is wrong.
 BrokerUrl parse_broker_url(const std::string& url);
 
+/// The port of the server: the URL's, or else the usual one of such a broker.
+std::uint16_t server_port(const BrokerUrl& url);
+
 }  // namespace iotcloud::brokers

@@ -52,9 +52,7 @@ bool is_tls(const BrokerUrl& url) {
 }
 
 std::uint16_t port_of(const BrokerUrl& url) {
-  constexpr std::uint16_t plain = 5672;
-  constexpr std::uint16_t tls = 5671;
-  return url.port != 0 ? url.port : is_tls(url) ? tls : plain;
+  return server_port(url);
 }
 
 std::string describe(pn_condition_t* condition) {

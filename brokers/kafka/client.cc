@@ -17,7 +17,6 @@
 namespace iotcloud::brokers::kafka {
 namespace {
 
-constexpr int default_port = 9092;
 // How long a client's user waits for its end.
 constexpr std::chrono::seconds longest_end{2};
 // How often user and password are read again while the servers refuse them.
@@ -35,7 +34,7 @@ std::string servers(const KafkaOptions& options) {
   for (const BrokerUrl& url : options.urls) {
     if (!list.empty()) list += ',';
     const bool ip6 = url.host.find(':') != std::string::npos;
-    list += fmt::format("{}{}{}:{}", ip6 ? "[" : "", url.host, ip6 ? "]" : "", url.port != 0 ? url.port : default_port);
+    list += fmt::format("{}{}{}:{}", ip6 ? "[" : "", url.host, ip6 ? "]" : "", server_port(url));
   }
   return list;
 }

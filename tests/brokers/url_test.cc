@@ -28,6 +28,17 @@ TEST(BrokerUrlTest, LeavesOutWhatIsNotGiven) {
   EXPECT_TRUE(parse_broker_url("amqp://localhost/").has_path);
 }
 
+TEST(BrokerUrlTest, HasTheUsualPortOfItsBrokerUnlessItNamesOne) {
+  const auto port = [](const std::string& url) { return server_port(parse_broker_url(url)); };
+  EXPECT_EQ(port("amqp://h:1"), 1);
+  EXPECT_EQ(port("amqp://h"), 5672);
+  EXPECT_EQ(port("amqps://h"), 5671);
+  EXPECT_EQ(port("activemq://h"), 5672);
+  EXPECT_EQ(port("activemqs://h"), 5671);
+  EXPECT_EQ(port("kafka://h"), 9092);
+  EXPECT_EQ(port("kafkas://h"), 9092);
+}
+
 TEST(BrokerUrlTest, DecodesPercentSigns) {
   const BrokerUrl url = parse_broker_url("amqp://u%40x:p%2Fw%3a@h/%2f");
   EXPECT_EQ(url.user, "u@x");

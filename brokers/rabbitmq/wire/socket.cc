@@ -10,9 +10,6 @@
 namespace iotcloud::brokers::rabbitmq {
 namespace {
 
-constexpr int default_port = 5672;
-constexpr int default_tls_port = 5671;
-
 /// Reports a wrong setting: the connection must not be tried.
 [[noreturn]] void unusable(const std::string& what, const std::string& file, const char* remedy) {
   throw LinkError(fmt::format("the {} \"{}\" cannot be used: {}", what, file, remedy));
@@ -25,8 +22,7 @@ bool wants_tls(const BrokerUrl& url) {
 }
 
 int port_of(const BrokerUrl& url) {
-  if (url.port != 0) return url.port;
-  return wants_tls(url) ? default_tls_port : default_port;
+  return server_port(url);
 }
 
 const char* explain(int status) {
