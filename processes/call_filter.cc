@@ -4,11 +4,15 @@
 #include <cerrno>
 #include <cstring>
 #include <memory>
+#include <set>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <fmt/format.h>
+#include <linux/netlink.h>
 #include <netinet/in.h>
+#include <netinet/tcp.h>
 #include <sched.h>
 #include <seccomp.h>
 #include <sys/socket.h>
@@ -76,15 +80,37 @@ scmp_arg_cmp is_int(unsigned argument, int value) {
   return {argument, SCMP_CMP_MASKED_EQ, 0xffffffffU, static_cast<scmp_datum_t>(value)};
 }
 
+/// The kinds of sockets, in an argument that has flags, too.
+scmp_arg_cmp is_kind(int kind) {
+  constexpr scmp_datum_t kind_of_socket = 0xf;
+  return {1, SCMP_CMP_MASKED_EQ, kind_of_socket, static_cast<scmp_datum_t>(kind)};
+}
+
+/// Refuses a call for all values of an argument that is an int but some, which are below 32. \param also what else of
+/// the call there must be
+void refuse_others(const Filter& filter, int call, unsigned argument, const std::set<int>& but,
+                   std::vector<scmp_arg_cmp> also, const char* what) {
+  constexpr unsigned low_bits = 5, bits = 32;
+  also.push_back({});
+  for (unsigned bit = low_bits; bit < bits; ++bit) {
+    const scmp_datum_t is_set = scmp_datum_t{1} << bit;
+    also.back() = {argument, SCMP_CMP_MASKED_EQ, is_set, is_set};
+    refuse(filter, call, also, what);
+  }
+  for (int value = 0; value < 1 << low_bits; ++value) {
+    also.back() = is_int(argument, value);
+    if (!but.contains(value)) refuse(filter, call, also, what);
+  }
+}
+
 }  // namespace
 
 void filter_transports() {
   const Filter filter = new_filter();
-  constexpr scmp_datum_t kind_of_socket = 0xf, data_before_connection = MSG_FASTOPEN;
+  constexpr scmp_datum_t data_before_connection = MSG_FASTOPEN;
   for (const int family : {AF_INET, AF_INET6}) {
     for (const int kind : {SOCK_DGRAM, SOCK_RAW, SOCK_RDM, SOCK_SEQPACKET, SOCK_DCCP, SOCK_PACKET}) {
-      const scmp_arg_cmp is_kind{1, SCMP_CMP_MASKED_EQ, kind_of_socket, static_cast<scmp_datum_t>(kind)};
-      refuse(filter, SCMP_SYS(socket), {is_int(0, family), is_kind}, "datagrams");
+      refuse(filter, SCMP_SYS(socket), {is_int(0, family), is_kind(kind)}, "datagrams");
     }
     // Streams of others than TCP: MPTCP and SCTP among them, on which Landlock has no say.
     refuse(filter, SCMP_SYS(socket), {is_int(0, family), {2, SCMP_CMP_GT, IPPROTO_TCP, 0}}, "other protocols");
@@ -98,6 +124,26 @@ void filter_transports() {
   refuse(filter, SCMP_SYS(sendto), {sends_first(3)}, "sendto");
   refuse(filter, SCMP_SYS(sendmsg), {sends_first(2)}, "sendmsg");
   refuse(filter, SCMP_SYS(sendmmsg), {sends_first(3)}, "sendmmsg");
+  // A socket of TCP that becomes one of another protocol, and a packet that goes by way of another machine.
+  for (const auto& [level, option] :
+       {std::pair(IPPROTO_TCP, TCP_ULP), std::pair(IPPROTO_IP, IP_OPTIONS), std::pair(IPPROTO_IPV6, IPV6_RTHDR),
+        std::pair(IPPROTO_IPV6, IPV6_2292RTHDR), std::pair(IPPROTO_IPV6, IPV6_2292PKTOPTIONS)}) {
+    refuse(filter, SCMP_SYS(setsockopt), {is_int(1, level), is_int(2, option)}, "options of sockets");
+  }
+  apply(filter);
+}
+
+void filter_connections() {
+  const Filter filter = new_filter();
+  check(seccomp_rule_add(filter.get(), SCMP_ACT_ERRNO(EACCES), SCMP_SYS(connect), 0), "connect");
+  refuse_others(filter, SCMP_SYS(socket), 0, {AF_UNIX, AF_INET, AF_INET6, AF_NETLINK}, {}, "families");
+  refuse_others(filter, SCMP_SYS(socket), 2, {NETLINK_ROUTE, NETLINK_KOBJECT_UEVENT}, {is_int(0, AF_NETLINK)},
+                "netlink");
+  // A local datagram names its receiver itself. SOCK_RAW is another word for it.
+  for (const int call : {SCMP_SYS(socket), SCMP_SYS(socketpair)}) {
+    for (const int kind : {SOCK_DGRAM, SOCK_RAW})
+      refuse(filter, call, {is_int(0, AF_UNIX), is_kind(kind)}, "local datagrams");
+  }
   apply(filter);
 }
 

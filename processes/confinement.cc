@@ -58,7 +58,24 @@ Account find_account(const std::string& name) {
   return {name, entry.pw_uid, entry.pw_gid, entry.pw_dir};
 }
 
+std::string lacks_for_network(const Confinement& confinement, const std::string& prefix) {
+  if (landlock_version() == 0) {
+    throw config::Error(
+        "this kernel has no Landlock (Linux 5.13): processes would get around a list of places by the files of others");
+  }
+  if (!confinement.filter_calls) return prefix + "call_filter: true";
+  if (!confinement.files) return prefix + "files: {read: [], write: [/tmp]}";
+  if (geteuid() == 0 && confinement.user.empty()) return prefix + "user: a user without rights";
+  return "";
+}
+
 void confine(const Confinement& confinement) {
+  if (confinement.network) {
+    const std::string lacks = lacks_for_network(confinement, "");
+    if (!lacks.empty() || !confinement.no_new_privileges)
+      throw config::Error("a list of places restricts nothing here without " +
+                          (lacks.empty() ? "no_new_privileges" : lacks));
+  }
   // First the steps that need root; the filter last, so that it cannot affect them.
   if (confinement.open_files > 0) {
     limit(RLIMIT_NOFILE, confinement.open_files,
@@ -73,14 +90,17 @@ void confine(const Confinement& confinement) {
   if (confinement.no_new_privileges && prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0) throw refused("give up privileges");
   // A change of user also clears this flag, so it is set again for a process that may be debugged.
   if (prctl(PR_SET_DUMPABLE, confinement.debuggable ? 1 : 0, 0, 0, 0) != 0) throw refused("be kept from debuggers");
+  // Before the rules that hold for this process and not for the one that connects for it.
+  if (confinement.network) start_connector(*confinement.network);
   if (confinement.files && !restrict_files(*confinement.files)) {
     logger.warn("this kernel has no Landlock, so this process may reach all files of its user");
   }
   if (confinement.ports) {
     restrict_connections(*confinement.ports);
-    filter_transports();
     setenv("RES_OPTIONS", "use-vc", 1);  // the C library asks for names by TCP
   }
+  if (confinement.ports || confinement.network) filter_transports();
+  if (confinement.network) filter_connections();
   if (confinement.filter_calls) filter_system_calls();
 }
 

@@ -16,7 +16,7 @@ namespace iotcloud::processes {
 
 namespace {
 
-struct Place {
+struct PlaceInLog {
   std::uint64_t file = 0;  ///< the file's inode, which a rename does not change
   std::uint64_t offset = 0;
 };
@@ -27,12 +27,12 @@ struct OpenLog {
   std::uint64_t size = 0;
 };
 
-std::string to_string(const Place& place) {
+std::string to_string(const PlaceInLog& place) {
   return fmt::format("{}:{}", place.file, place.offset);
 }
 
-Place parse(const std::string& position) {
-  Place place;
+PlaceInLog parse(const std::string& position) {
+  PlaceInLog place;
   const char* const end = position.data() + position.size();
   const auto file = std::from_chars(position.data(), end, place.file);
   if (file.ec == std::errc{} && file.ptr != end && *file.ptr == ':') {
@@ -74,7 +74,7 @@ std::string read_at(const OpenLog& log, std::uint64_t offset, std::size_t most) 
 LogExcerpt read_end(const OpenLog& log, std::size_t most) {
   const std::uint64_t from = log.size > most ? log.size - most : 0;
   std::string text = read_at(log, from, most);
-  const Place next{log.file, from + text.size()};
+  const PlaceInLog next{log.file, from + text.size()};
   if (from > 0) {
     if (const auto line = text.find('\n'); line != std::string::npos) text.erase(0, line + 1);
   }
@@ -87,7 +87,7 @@ LogExcerpt read_log(const std::string& path, const std::string& position, std::s
   const auto logs = all_logs(path);
   if (logs.empty()) throw config::Error(fmt::format("there is no log {} yet", path));
   if (position.empty()) return read_end(logs.back(), most);
-  Place place = parse(position);
+  PlaceInLog place = parse(position);
   std::size_t at = 0;
   while (at < logs.size() && logs[at].file != place.file) ++at;
   if (at == logs.size()) {

@@ -23,6 +23,19 @@ void check_account(const std::string& user, const ConfinementWords& words, const
       words.daemon, words.processes, user, words.prefix, words.unit));
 }
 
+/// What is allowed for all code and for this one; nullopt: everything.
+template <typename Allowed>
+std::optional<std::vector<Allowed>> of_code(const std::map<std::string, std::vector<Allowed>>& all,
+                                            const std::string& code) {
+  if (all.empty()) return std::nullopt;
+  std::vector<Allowed> allowed;
+  for (const std::string& of : {std::string(every_code), code}) {
+    const auto found = all.find(of);
+    if (found != all.end()) allowed.insert(allowed.end(), found->second.begin(), found->second.end());
+  }
+  return allowed;
+}
+
 }  // namespace
 
 std::string read_starter(config::YamlSection& file, const ConfinementWords& words) {
@@ -104,13 +117,29 @@ PortsByCode read_ports(config::YamlSection& file, const ConfinementWords& words,
 }
 
 std::optional<std::vector<std::uint16_t>> ports_of(const PortsByCode& ports, const std::string& code) {
-  if (ports.empty()) return std::nullopt;
-  std::vector<std::uint16_t> allowed;
-  for (const std::string& of : {std::string(every_code), code}) {
-    const auto found = ports.find(of);
-    if (found != ports.end()) allowed.insert(allowed.end(), found->second.begin(), found->second.end());
+  return of_code(ports, code);
+}
+
+PlacesByCode read_network(config::YamlSection& file, const ConfinementWords& words, const Confinement& confinement) {
+  PlacesByCode places;
+  const std::string key = words.prefix + "network";
+  auto section = file.optional_section(key);
+  if (!section) return places;
+  places[every_code];
+  for (const std::string& code : section->names()) {
+    for (const std::string& text : section->strings_or(code, {}))
+      section->check(code, [&] { places[code].push_back(parse_place(text)); });
   }
-  return allowed;
+  section->finish();
+  file.check(key, [&] {
+    const std::string lacks = lacks_for_network(confinement, words.prefix);
+    if (!lacks.empty()) file.refuse(key, fmt::format("{} would get around it", words.processes), lacks);
+  });
+  return places;
+}
+
+std::optional<std::vector<Place>> places_of(const PlacesByCode& places, const std::string& code) {
+  return of_code(places, code);
 }
 
 const std::vector<std::string>& readable_by_all() {

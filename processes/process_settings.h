@@ -9,6 +9,7 @@
 
 #include <iotcloud/config/yaml.h>
 #include <iotcloud/processes/confinement.h>
+#include <iotcloud/processes/places.h>
 #include <iotcloud/processes/restarts.h>
 
 namespace iotcloud::processes {
@@ -17,6 +18,9 @@ namespace iotcloud::processes {
 /// for all. Empty: processes connect to whatever they like.
 using PortsByCode = std::map<std::string, std::vector<std::uint16_t>>;
 inline constexpr const char* every_code = "all";
+
+/// Places to which processes may connect, in the same way.
+using PlacesByCode = std::map<std::string, std::vector<Place>>;
 
 /// How a daemon's configuration file speaks of the processes that it confines.
 struct ConfinementWords {
@@ -41,6 +45,12 @@ PortsByCode read_ports(config::YamlSection& file, const ConfinementWords& words,
 
 /// The ports for processes that run this code; nullopt: no restriction.
 std::optional<std::vector<std::uint16_t>> ports_of(const PortsByCode& ports, const std::string& code);
+
+/// Reads `<prefix>network`, and checks that this machine can restrict connections.
+PlacesByCode read_network(config::YamlSection& file, const ConfinementWords& words, const Confinement& confinement);
+
+/// The places for processes that run this code; nullopt: no restriction.
+std::optional<std::vector<Place>> places_of(const PlacesByCode& places, const std::string& code);
 
 /// Reads `<prefix>log`, with `limit_mb` and `kept`: how long a process' log grows, and how many older ones stay.
 void read_log_limits(config::YamlSection& file, const std::string& prefix, int& limit_mb, int& kept);

@@ -27,49 +27,20 @@ namespace {
 constexpr std::chrono::milliseconds answer_limit{10000}, status_limit{5000};
 /// Variables of the account under which the process runs, not of the daemon that asks.
 constexpr std::array of_the_account = {"HOME", "USER", "LOGNAME"};
-constexpr std::size_t most_descriptors = 2;
 constexpr const char* acknowledged = "+";
 
 /// Sends a frame, its first byte with the descriptors.
-bool send_with(const OwnedDescriptor& socket, const std::string& bytes, const std::vector<int>& descriptors) {
-  alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int) * most_descriptors)> control{};
-  iovec first{const_cast<char*>(bytes.data()), 1};
-  msghdr message{};
-  message.msg_iov = &first;
-  message.msg_iovlen = 1;
-  message.msg_control = control.data();
-  message.msg_controllen = CMSG_SPACE(sizeof(int) * descriptors.size());
-  cmsghdr* const header = CMSG_FIRSTHDR(&message);
-  header->cmsg_level = SOL_SOCKET;
-  header->cmsg_type = SCM_RIGHTS;
-  header->cmsg_len = CMSG_LEN(sizeof(int) * descriptors.size());
-  std::memcpy(CMSG_DATA(header), descriptors.data(), sizeof(int) * descriptors.size());
-  return sendmsg(socket.get(), &message, MSG_NOSIGNAL) == 1 && send_all(socket, bytes.substr(1));
+bool send_frame(const OwnedDescriptor& socket, const std::string& bytes, const std::vector<int>& descriptors) {
+  return send_with(socket, bytes.substr(0, 1), descriptors) == 1 && send_all(socket, bytes.substr(1));
 }
 
 /// Receives the first byte of a frame and the descriptors that come with it.
 std::vector<OwnedDescriptor> receive_first(const OwnedDescriptor& socket, FrameReader& frames) {
-  alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int) * most_descriptors)> control{};
-  char byte = 0;
-  iovec first{&byte, 1};
-  msghdr message{};
-  message.msg_iov = &first;
-  message.msg_iovlen = 1;
-  message.msg_control = control.data();
-  message.msg_controllen = control.size();
-  std::vector<OwnedDescriptor> found;
-  if (!wait_readable(socket.get(), answer_limit) || recvmsg(socket.get(), &message, MSG_CMSG_CLOEXEC) != 1)
-    return found;
-  frames.feed(&byte, 1);
-  for (cmsghdr* header = CMSG_FIRSTHDR(&message); header != nullptr; header = CMSG_NXTHDR(&message, header)) {
-    if (header->cmsg_level != SOL_SOCKET || header->cmsg_type != SCM_RIGHTS) continue;
-    for (std::size_t at = 0; at + CMSG_LEN(sizeof(int)) <= header->cmsg_len; at += sizeof(int)) {
-      int descriptor = -1;
-      std::memcpy(&descriptor, CMSG_DATA(header) + at, sizeof(int));
-      found.emplace_back(descriptor);
-    }
-  }
-  return found;
+  if (!wait_readable(socket.get(), answer_limit)) return {};
+  auto passed = receive_with(socket, 1);
+  if (!passed || passed->bytes.empty()) return {};
+  frames.feed(passed->bytes.data(), passed->bytes.size());
+  return std::move(passed->descriptors);
 }
 
 /// The body of the next frame; nullopt when the other side closes the connection, or `limit` passes in silence.
@@ -147,7 +118,7 @@ ProcessStarter::Started ProcessStarter::start(const std::vector<std::string>& ar
         fmt::format("nobody starts a process at {}: {}; is {}.socket active?", socket_, std::strerror(errno), unit_));
   }
   const StarterRequest request{StarterRequest::Kind::run, arguments, environment};
-  if (send_with(connection, encode(request), {log.get(), passed.get()})) {
+  if (send_frame(connection, encode(request), {log.get(), passed.get()})) {
     const auto answer = next_answer(connection, answer_limit);
     if (answer && answer->kind == StarterAnswer::Kind::failed) throw config::Error(answer->reason);
     // Our own process id as an answer would be dangerous: the caller ends a started process that has another account
@@ -163,7 +134,7 @@ ProcessStarter::Started ProcessStarter::start(const std::vector<std::string>& ar
 bool ProcessStarter::kill(int pidfd) const noexcept try {
   const OwnedDescriptor connection = connect();
   const StarterRequest request{StarterRequest::Kind::kill, {}, {}};
-  if (!connection || !send_with(connection, encode(request), {pidfd})) return false;
+  if (!connection || !send_frame(connection, encode(request), {pidfd})) return false;
   const auto answer = next_answer(connection, answer_limit);
   return answer && answer->kind == StarterAnswer::Kind::killed;
 } catch (const std::exception& e) {

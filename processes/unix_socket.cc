@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
@@ -113,6 +114,47 @@ std::optional<std::string> receive_some(const OwnedDescriptor& socket) {
   if (n > 0) return std::string(buffer.data(), static_cast<std::size_t>(n));
   if (n < 0 && (errno == EAGAIN || errno == EINTR)) return std::string{};
   return std::nullopt;
+}
+
+ssize_t send_with(const OwnedDescriptor& socket, std::string_view bytes, const std::vector<int>& descriptors) {
+  alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int) * most_passed)> control{};
+  const std::size_t size = sizeof(int) * std::min(descriptors.size(), most_passed);
+  iovec all{const_cast<char*>(bytes.data()), bytes.size()};
+  msghdr message{};
+  message.msg_iov = &all;
+  message.msg_iovlen = 1;
+  message.msg_control = control.data();
+  message.msg_controllen = CMSG_SPACE(size);
+  cmsghdr* const header = CMSG_FIRSTHDR(&message);
+  header->cmsg_level = SOL_SOCKET;
+  header->cmsg_type = SCM_RIGHTS;
+  header->cmsg_len = CMSG_LEN(size);
+  std::memcpy(CMSG_DATA(header), descriptors.data(), size);
+  return sendmsg(socket.get(), &message, MSG_NOSIGNAL);
+}
+
+std::optional<Passed> receive_with(const OwnedDescriptor& socket, std::size_t most) {
+  alignas(cmsghdr) std::array<char, CMSG_SPACE(sizeof(int) * most_passed)> control{};
+  Passed passed;
+  passed.bytes.resize(most);
+  iovec all{passed.bytes.data(), passed.bytes.size()};
+  msghdr message{};
+  message.msg_iov = &all;
+  message.msg_iovlen = 1;
+  message.msg_control = control.data();
+  message.msg_controllen = control.size();
+  const ssize_t size = recvmsg(socket.get(), &message, MSG_CMSG_CLOEXEC);
+  if (size < 0) return std::nullopt;
+  passed.bytes.resize(static_cast<std::size_t>(size));
+  for (cmsghdr* header = CMSG_FIRSTHDR(&message); header != nullptr; header = CMSG_NXTHDR(&message, header)) {
+    if (header->cmsg_level != SOL_SOCKET || header->cmsg_type != SCM_RIGHTS) continue;
+    for (std::size_t at = 0; CMSG_LEN(at + sizeof(int)) <= header->cmsg_len; at += sizeof(int)) {
+      int descriptor = -1;
+      std::memcpy(&descriptor, CMSG_DATA(header) + at, sizeof(int));
+      passed.descriptors.emplace_back(descriptor);
+    }
+  }
+  return passed;
 }
 
 }  // namespace iotcloud::processes

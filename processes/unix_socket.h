@@ -1,7 +1,12 @@
 #pragma once
 
+#include <cstddef>
 #include <optional>
 #include <string>
+#include <string_view>
+#include <vector>
+
+#include <sys/types.h>
 
 #include <iotcloud/processes/descriptor.h>
 
@@ -32,4 +37,17 @@ bool send_all(const OwnedDescriptor& socket, const std::string& bytes);
 /// Reads the bytes that have arrived, at most 64 KB. \return nullopt at the end of the stream or on an error; empty if
 /// there is nothing.
 std::optional<std::string> receive_some(const OwnedDescriptor& socket);
+
+/// Sends bytes, at least one, with descriptors of this process, at most most_passed. \return how many bytes went;
+/// negative: none, and errno says why.
+ssize_t send_with(const OwnedDescriptor& socket, std::string_view bytes, const std::vector<int>& descriptors);
+/// How many descriptors can come with bytes.
+inline constexpr std::size_t most_passed = 2;
+/// Bytes that came with descriptors.
+struct Passed {
+  std::string bytes;  ///< empty: at the end of the stream
+  std::vector<OwnedDescriptor> descriptors;
+};
+/// Waits for bytes. \param most how many, at most; the rest of a message is lost. \return nullopt on an error.
+std::optional<Passed> receive_with(const OwnedDescriptor& socket, std::size_t most);
 }  // namespace iotcloud::processes
