@@ -248,7 +248,7 @@ Properties numbered(const Properties& properties, int index) {
 }
 
 const std::vector<std::string>& host_properties() {
-  static const std::vector<std::string> names{"thread", "hang_limit", "isolation", "on_partition", "lease"};
+  static const std::vector<std::string> names{"thread", "hang_limit", "isolation", "network", "on_partition", "lease"};
   return names;
 }
 

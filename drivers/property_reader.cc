@@ -32,7 +32,7 @@ Number parse(const std::string& name, const std::string& value, Number min, Numb
 
 bool is_of_host(const std::string& name) {
   return name.starts_with("channel.") || name == "thread" || name == "hang_limit" || name == "isolation" ||
-         name == "on_partition" || name == "lease";
+         name == "network" || name == "on_partition" || name == "lease";
 }
 
 std::string list(const auto& words) {

@@ -27,7 +27,7 @@ class PropertyReader {
 
   /// \throws std::invalid_argument for a property that the driver did not ask for; the message lists the known ones.
   /// Properties that begin with "channel." belong to the driver host and pass, as do `thread`, `hang_limit`,
-  /// `isolation`, `on_partition` and `lease`.
+  /// `isolation`, `network`, `on_partition` and `lease`.
   void finish() const;
 
  private:

@@ -81,6 +81,16 @@ void read_confinement(config::YamlSection& file, ProcessLauncher::Options& hosts
   hosts.starter = processes::read_starter(file, confinement_words());
   hosts.confinement = processes::read_confinement(file, confinement_words(), hosts.starter);
   hosts.ports = processes::read_ports(file, confinement_words(), hosts.confinement);
+  hosts.network = processes::read_network(file, confinement_words(), hosts.confinement);
+  for (const auto& [plugin, places] : hosts.network) {
+    const auto ports = processes::ports_of(hosts.ports, plugin);
+    for (const auto& place : places) {
+      if (!ports || std::find(ports->begin(), ports->end(), place.port) != ports->end()) continue;
+      file.refuse("host_network",
+                  fmt::format("{} for \"{}\" has a port that host_ports does not name", to_text(place), plugin),
+                  "name it there, too, or leave host_ports out");
+    }
+  }
 }
 
 void read_plugins(config::YamlSection& file, GatewayConfig& config) {
@@ -99,6 +109,11 @@ void read_plugins(config::YamlSection& file, GatewayConfig& config) {
   config.hosts.trust = config.trust;
 }
 
+processes::Place place_of(const std::string& url) {
+  const auto server = brokers::parse_broker_url(url);
+  return processes::parse_place(to_text(processes::Place{server.host, brokers::server_port(server)}));
+}
+
 void read_hosts(config::YamlSection& file, GatewayConfig& config) {
   auto& hosts = config.hosts;
   processes::read_time(file, "host_hang_limit", hosts.hang_limit);
@@ -109,6 +124,10 @@ void read_hosts(config::YamlSection& file, GatewayConfig& config) {
   read_confinement(file, hosts);
   hosts.environment = file.strings_or("host_environment", {});
   for (const auto& broker : config.gateway.brokers) {
+    for (const auto& url : broker.options.urls) {
+      if (file.has_errors()) break;
+      file.check("brokers", [&] { hosts.brokers_places.push_back(place_of(url)); });
+    }
     const auto& variable = broker.options.password_variable;
     if (!variable.empty()) hosts.environment.push_back(variable);
     if (!hosts.confinement.files) continue;

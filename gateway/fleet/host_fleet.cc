@@ -39,7 +39,14 @@ std::string key_of(const HostOrder& order, const InstanceId& instance) {
   return key;
 }
 
+/// What the deployment says its host may connect to.
+std::optional<std::string> network_of(const discovery::OrderRecord& order) {
+  const auto property = order.properties.find("network");
+  return property == order.properties.end() ? std::nullopt : std::optional(property->second);
+}
+
 bool isolated(const discovery::OrderRecord& order, const HostOrder& host, HostLauncher& launcher) {
+  if (host.network) return true;  // others in the same process would have the same network
   const auto property = order.properties.find("isolation");
   return property != order.properties.end() ? property->second == "instance" : launcher.wants_isolation(host);
 }
@@ -110,7 +117,8 @@ std::vector<HostedInstance> HostFleet::adopt() {
 }
 
 std::shared_ptr<HostFleet::Host> HostFleet::host_for(const discovery::OrderRecord& order) {
-  HostOrder wanted{order.plugin, options_.gateway, false, order.sha256, {}, order.previous.has_value()};
+  HostOrder wanted{order.plugin,     options_.gateway, false, order.sha256, {}, order.previous.has_value(),
+                   network_of(order)};
   wanted.isolated = isolated(order, wanted, launcher_);
   const std::string key = key_of(wanted, order.instance);
   auto& host = hosts_[key];
@@ -309,6 +317,8 @@ void HostFleet::report(Member& member, DriverState state, const std::string& rea
 std::string HostFleet::contradiction_of(const RunningHost& running) const {
   for (const auto& instance : running.instances) {
     if (std::string untrue = contradiction_of(instance, running.order); !untrue.empty()) return untrue;
+    if (network_of(instance.spec.order) != running.order.network)
+      return "it says that its instance was deployed with another `network` than it was started with";
   }
   return "";
 }

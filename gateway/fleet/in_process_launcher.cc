@@ -131,6 +131,11 @@ std::unique_ptr<HostLink> InProcessLauncher::launch(const HostOrder& order, Host
     check_plugin_file_name(order.plugin);
     if (!order.sha256.empty())
       throw config::Error(order.plugin + " was sent, and a gateway inside a process keeps no plugins that are sent");
+    if (order.network) {
+      throw config::Error(
+          "its property `network` restricts a process, and here drivers have none of their own: leave the property "
+          "out");
+    }
     const auto linked_in = options_.linked_in.find(order.plugin);
     plugin = linked_in != options_.linked_in.end() ? Plugin::wrap(*linked_in->second, order.plugin)
                                                    : Plugin::load(options_.plugin_dir + "/" + order.plugin);

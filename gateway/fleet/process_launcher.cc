@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <cerrno>
 #include <cstring>
 #include <filesystem>
@@ -11,12 +12,14 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/gateway/fleet/plugin_folder.h>
 #include <iotcloud/gateway/fleet/process_launcher.h>
 #include <iotcloud/gateway/fleet/process_link.h>
 #include <iotcloud/gateway/logger.h>
 #include <iotcloud/processes/child_process.h>
+#include <iotcloud/processes/durable_file.h>
 #include <iotcloud/processes/frames.h>
 #include <iotcloud/processes/silence.h>
 #include <iotcloud/processes/unix_socket.h>
@@ -27,6 +30,10 @@ namespace {
 
 constexpr std::chrono::milliseconds hello_pause{100};
 constexpr std::string_view socket_suffix = ".sock";
+/// Of a file beside a host's socket, that says to what the host was started to connect. Hosts do not reach it.
+constexpr std::string_view network_suffix = ".network";
+/// Lines of that file: with the deployment's property as it is, and with each place.
+constexpr std::string_view of_deployment = "deployment ", of_place = "place ";
 
 void add_confinement(std::vector<std::string>& arguments, const processes::Confinement& confinement) {
   if (!confinement.user.empty()) arguments.insert(arguments.end(), {"--user", confinement.user});
@@ -44,6 +51,13 @@ void add_confinement(std::vector<std::string>& arguments, const processes::Confi
 void add_ports(std::vector<std::string>& arguments, const processes::PortsByCode& ports, const std::string& plugin) {
   for (const std::uint16_t port : processes::ports_of(ports, plugin).value_or(std::vector<std::uint16_t>()))
     arguments.push_back("--connect-to=" + std::to_string(port));
+}
+
+/// \param places nullopt: no restriction
+void add_places(std::vector<std::string>& arguments, const std::optional<std::vector<processes::Place>>& places) {
+  if (!places) return;
+  arguments.emplace_back("--only-places");
+  for (const auto& place : *places) arguments.push_back("--place=" + to_text(place));
 }
 
 void add_files(std::vector<std::string>& arguments, const processes::FileAccess& configured,
@@ -94,11 +108,15 @@ std::vector<FoundSocket> connect_to_hosts(const std::string& folder) {
   std::error_code error;
   for (const auto& file : std::filesystem::directory_iterator(folder, error)) {
     const std::string name = file.path().filename();
+    if (name.ends_with(network_suffix) && !std::filesystem::exists(file.path().parent_path() / file.path().stem())) {
+      unlink(file.path().c_str());  // its host has ended in order, and removed its socket
+    }
     if (!name.ends_with(socket_suffix)) continue;
     if (auto connection = processes::connect_in(folder, name)) {
       found.push_back({name, std::move(connection)});
     } else {
       unlink(file.path().c_str());  // nobody listens: its host has ended
+      unlink((file.path().string() + std::string(network_suffix)).c_str());
     }
   }
   return found;
@@ -109,10 +127,25 @@ void make_folder(const std::string& path) {
     throw config::Error(fmt::format("the folder {} cannot be made: {}", path, std::strerror(errno)));
 }
 
+/// What stands beside the socket of a host that was started with a list of places; empty: it was started without.
+std::string network_file(const std::string& folder, const std::string& socket) {
+  constexpr std::size_t most = std::size_t{1} << 20;
+  const std::string file = fmt::format("{}/{}{}", folder, socket, network_suffix);
+  return std::filesystem::exists(file) ? processes::read_file(file, most) : "";
+}
+
+/// The property in such a file.
+std::optional<std::string> deployments_network(const std::string& text) {
+  if (!text.starts_with(of_deployment)) return std::nullopt;
+  return text.substr(of_deployment.size(), text.find('\n') - of_deployment.size());
+}
+
 /// The host behind a socket that an earlier run left, if this gateway can adopt it. Kills a host that it cannot adopt.
+/// \param network_text of an order, what a host that is started now would have beside its socket
 std::optional<RunningHost> examine(const std::string& folder, const FoundSocket& found, const HostProofs& proofs,
                                    processes::Silence& silence, std::chrono::milliseconds hang_limit,
-                                   const discovery::GatewayId& gateway, const processes::ChildStarter& starter) {
+                                   const discovery::GatewayId& gateway, const processes::ChildStarter& starter,
+                                   const std::function<std::string(const HostOrder&)>& network_text) {
   const std::string& name = found.name;
   const int process = processes::peer_process(found.connection);
   // Opened before the process is looked at: if the host ends meanwhile, its id may be another process's.
@@ -131,6 +164,7 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
   }
   std::string problem;
   try {
+    const std::string network = network_file(folder, name);
     const bool gone = !processes::send_all(found.connection, encode(protocol::ProveGateway{proofs.of(name)}));
     const auto hello = gone ? std::nullopt : hello_of(found.connection, silence, hang_limit);
     if (!hello) {
@@ -138,7 +172,10 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
     } else if (hello->version != protocol::version || hello->order.gateway != gateway) {
       problem = "it is of another version or another gateway";
     } else if (problem = starter.objection(process); problem.empty()) {
-      return RunningHost{name, hello->order, hello->instances};
+      HostOrder order = hello->order;
+      order.network = deployments_network(network);
+      if (network_text(order) == network) return RunningHost{name, order, hello->instances};
+      problem = "it may connect to other places than host_network and the brokers' URLs say now";
     }
   } catch (const config::Error& e) {
     problem = e.what();
@@ -147,6 +184,7 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
               problem);
   host_process.kill();
   unlink((folder + "/" + name).c_str());
+  unlink((folder + "/" + name + std::string(network_suffix)).c_str());
   return std::nullopt;
 }
 
@@ -226,18 +264,23 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   add_confinement(arguments, options_.confinement);
   if (options_.confinement.files) add_files(arguments, *options_.confinement.files, options_, found.path);
   add_ports(arguments, options_.ports, order.plugin);
+  add_places(arguments, network_of(order));
   if (starter_.passes_socket())
     arguments.insert(arguments.end(), {"--listen-on", std::to_string(processes::ChildStarter::passed_socket)});
   if (found.exactly) arguments.emplace_back("--exactly");
   if (!order.sha256.empty()) arguments.push_back("--ordered=" + order.sha256);
   if (!order.identity.signed_by.empty()) arguments.push_back("--signed-by=" + order.identity.signed_by);
+  const std::string network_path = options_.state_dir + "/" + socket + std::string(network_suffix);
   const auto lacking = [&](const std::runtime_error& e) {
+    unlink(network_path.c_str());
     // Of which there may be enough later: memory, processes, descriptors, room on the disk.
     events.on_ended({HostEnd::How::crashed, fmt::format("could not be started: {}", e.what()), {}});
     return link_to_nothing();
   };
   std::optional<processes::ChildProcess> process;
   try {
+    const std::string network = network_text(order);
+    if (!network.empty()) config::write_new_file(network_path, network, S_IRUSR | S_IWUSR);
     process.emplace(starter_.start(std::move(arguments), processes::environment_of(options_.environment),
                                    options_.state_dir, socket, log_file));
   } catch (const config::Error& e) {
@@ -256,13 +299,66 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   return link_to_nothing();
 }
 
+/// What a host may connect to; nullopt: whatever it likes. \throws config::Error if this gateway cannot have it so.
+std::optional<std::vector<processes::Place>> ProcessLauncher::network_of(const HostOrder& order) const {
+  const auto configured = processes::places_of(options_.network, order.plugin);
+  if (!order.network) {
+    if (!configured) return std::nullopt;
+    return with_brokers(*configured);
+  }
+  const std::string lacks = processes::lacks_for_network(options_.confinement, "host_");
+  if (!lacks.empty()) {
+    throw config::Error(
+        fmt::format("its property `network` would restrict nothing: this gateway's configuration needs {}", lacks));
+  }
+  std::vector<processes::Place> places;
+  try {
+    places = processes::parse_places(*order.network);
+  } catch (const config::Error& e) {
+    throw config::Error(fmt::format("its property `network`: {}", e.what()));
+  }
+  const auto ports = processes::ports_of(options_.ports, order.plugin);
+  for (const auto& place : places) {
+    if (configured && std::find(configured->begin(), configured->end(), place) == configured->end()) {
+      throw config::Error(fmt::format(
+          "its property `network` names {}, which `host_network` in this gateway's configuration does not allow it",
+          to_text(place)));
+    }
+    if (ports && std::find(ports->begin(), ports->end(), place.port) == ports->end()) {
+      throw config::Error(fmt::format(
+          "its property `network` names {}, whose port `host_ports` in this gateway's configuration does not allow it",
+          to_text(place)));
+    }
+  }
+  return with_brokers(std::move(places));
+}
+
+std::vector<processes::Place> ProcessLauncher::with_brokers(std::vector<processes::Place> places) const {
+  places.insert(places.end(), options_.brokers_places.begin(), options_.brokers_places.end());
+  std::sort(places.begin(), places.end());
+  places.erase(std::unique(places.begin(), places.end()), places.end());
+  return places;
+}
+
+/// What stands beside a host's socket, see network_file().
+std::string ProcessLauncher::network_text(const HostOrder& order) const {
+  const auto places = network_of(order);
+  if (!places) return "";
+  std::string text;
+  if (order.network) text += fmt::format("{}{}\n", of_deployment, *order.network);
+  for (const auto& place : *places) text += fmt::format("{}{}\n", of_place, to_text(place));
+  if (text.empty()) text = "\n";  // a list without a place is one, too
+  return text;
+}
+
 std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& gateway) {
   std::vector<RunningHost> hosts;
   // Connected to all of them first, so that several hosts that stand still keep this waiting only once.
   const auto found = connect_to_hosts(options_.state_dir);
   processes::Silence silence(std::chrono::steady_clock::now(), 2 * hello_pause);
   for (const auto& socket : found) {
-    auto host = examine(options_.state_dir, socket, proofs_, silence, options_.hang_limit, gateway, starter_);
+    auto host = examine(options_.state_dir, socket, proofs_, silence, options_.hang_limit, gateway, starter_,
+                        [this](const HostOrder& order) { return network_text(order); });
     if (!host) continue;
     host->order.identity.driver = source_.driver_of(host->order);  // what the host says of itself proves nothing
     hosts.push_back(std::move(*host));

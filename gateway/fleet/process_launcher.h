@@ -5,6 +5,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -16,6 +17,7 @@
 #include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/child_starter.h>
 #include <iotcloud/processes/confinement.h>
+#include <iotcloud/processes/places.h>
 #include <iotcloud/processes/plugin_versions.h>
 #include <iotcloud/processes/process_settings.h>
 #include <iotcloud/processes/vitals.h>
@@ -46,6 +48,10 @@ class ProcessLauncher final : public HostLauncher {
     std::chrono::milliseconds own_thread_hang_limit{60000};
     processes::VitalLimits limits;
     processes::Confinement confinement;
+    /// The places to which hosts may connect, by their plugins; empty: whatever they like, unless a deployment says
+    /// something else. A deployment may leave some out, and add none.
+    processes::PlacesByCode network;
+    std::vector<processes::Place> brokers_places;  ///< the brokers' servers, which every list of places has
     Ports ports;  ///< empty: hosts connect to whatever they like; otherwise each has some, see Confinement::ports
     /// The socket at which systemd starts hosts under the account `confinement.user` (processes::ChildStarter).
     std::string starter;
@@ -73,6 +79,9 @@ class ProcessLauncher final : public HostLauncher {
   std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;
 
  private:
+  std::optional<std::vector<processes::Place>> network_of(const HostOrder& order) const;
+  std::vector<processes::Place> with_brokers(std::vector<processes::Place> places) const;
+  std::string network_text(const HostOrder& order) const;
   processes::LogFile::Options log_of(const std::string& plugin) const;
 
   Options options_;

@@ -191,7 +191,7 @@ void ProcessLink::show_metrics(std::vector<config::Sample> samples) {
 }
 
 void ProcessLink::ended(const processes::WatchedEnd& end) {
-  unlink((options_.state_dir + "/" + socket_name_).c_str());
+  for (const char* of_host : {"", ".network"}) unlink((options_.state_dir + "/" + socket_name_ + of_host).c_str());
   if (options_.brokers) options_.brokers->forget(socket_name_);
   if (options_.metrics) options_.metrics->forget(name_, watch_.process());
   if (!refused_.empty()) {

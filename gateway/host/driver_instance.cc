@@ -278,7 +278,7 @@ void DriverInstance::open_incoming(const PlannedChannel& channel) {
     if (environment_->isolated) {
       throw config::Error(
           fmt::format("channel \"{}\" is shared and incoming, which needs all instances in one host; deploy without "
-                      "isolation, or with channel.{}.shared=false",
+                      "isolation and `network`, or with channel.{}.shared=false",
                       name, name));
     }
     environment_->shared_channels->join(channel, kept.broker, id_, kept.queue);

@@ -103,6 +103,12 @@ int main(int argc, char** argv) {
   std::vector<std::uint16_t> ports;
   app.add_option("--connect-to", ports,
                  "a TCP port that it may connect to, and then no other that is not named, nor UDP");
+  bool only_places = false;
+  iotcloud::processes::Network network{
+      {}, "name it in the property `network` of the deployment, or in `host_network` of the gateway's configuration"};
+  std::vector<std::string> places;
+  app.add_flag("--only-places", only_places, "it connects to no other places than those that are named, if any");
+  app.add_option("--place", places, "HOST:PORT of TCP to which it may connect");
   app.add_flag("--no-new-privileges", confinement.no_new_privileges, "set-user-id programs gain nothing");
   app.add_flag("!--no-debugging", confinement.debuggable, "no core dumps, no debuggers of the same user");
   app.add_flag("--filter-calls", confinement.filter_calls, "refuse system calls that no driver needs");
@@ -119,6 +125,8 @@ int main(int argc, char** argv) {
   try {
     iotcloud::config::set_log_level(iotcloud::config::parse_log_level(log_level));
     iotcloud::config::set_log_format(iotcloud::config::parse_log_format(log_format));
+    for (const auto& place : places) network.places.push_back(iotcloud::processes::parse_place(place));
+    if (only_places) options.confinement.network = std::move(network);
     iotcloud::gateway::ControlServer server(std::move(options));
     status = server.run(signals);
     unlink(socket.c_str());

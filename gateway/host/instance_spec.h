@@ -100,6 +100,8 @@ struct HostOrder {
   PluginIdentity identity{};  ///< the bytes found when the host was started
   /// The order that starts the host is one of an update, which may go back. Not passed on to the host.
   bool of_update = false;
+  /// The property `network` of the deployment: what the host may connect to. Not passed on to the host.
+  std::optional<std::string> network{};
   static constexpr const char* what = "the order for a driver host";
   static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(plugin, required), IOTCLOUD_FIELD(gateway, required),
                                             IOTCLOUD_FIELD(isolated, required), IOTCLOUD_FIELD(sha256, usual),

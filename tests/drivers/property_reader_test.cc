@@ -55,7 +55,7 @@ TEST(PropertyReader, lists_the_choices) {
 TEST(PropertyReader, refuses_unknown_properties_but_the_host_s) {
   const PropertyMap properties{{"speed", "1"},           {"sped", "2"},        {"channel.out.capacity", "3"},
                                {"thread", "own"},        {"hang_limit", "3s"}, {"isolation", "instance"},
-                               {"on_partition", "stop"}, {"lease", "30s"}};
+                               {"on_partition", "stop"}, {"lease", "30s"},     {"network", "camera-1:554"}};
   PropertyReader reader(properties);
   reader.number("speed", 1, 0, 10);
   EXPECT_THAT(message_of([&] { reader.finish(); }), AllOf(HasSubstr("\"sped\""), HasSubstr("knows: speed")));

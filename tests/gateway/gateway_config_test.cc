@@ -145,6 +145,36 @@ TEST_F(GatewayConfigTest, ThePortsOfHostsAreForAllAndForSinglePlugins) {
   EXPECT_THAT(error_of(with("hosts", "host_call_filter: false\n" + good)), HasSubstr("host_call_filter: true"));
 }
 
+TEST_F(GatewayConfigTest, ThePlacesOfHostsAreForAllAndForSinglePlugins) {
+  const std::string user = geteuid() == 0 ? "host_user: nobody\n" : "";
+  const std::string files = "host_files: {write: [/tmp]}\n";
+  const auto refused = [&](const std::string& places, const std::string& others) {
+    return error_of(with("hosts", user + others + "host_network: " + places));
+  };
+  EXPECT_TRUE(load(with("hosts", "")).hosts.network.empty());
+  if (processes::landlock_version() == 0) {
+    EXPECT_THAT(refused("{all: []}", files), HasSubstr("Landlock"));
+    return;
+  }
+  const std::string good = "host_network: {all: [\"B:5672\"], camera.so: [\"10.0.0.7:554\", \"[::1]:80\"]}";
+  const auto config = load(with("hosts", user + files + good));
+  const processes::PlacesByCode expected{{"all", {{"b", 5672}}}, {"camera.so", {{"10.0.0.7", 554}, {"::1", 80}}}};
+  EXPECT_EQ(config.hosts.network, expected);
+  const std::vector<processes::Place> brokers{{"a", 5672}, {"b", 5672}};
+  EXPECT_EQ(config.hosts.brokers_places, brokers);
+  EXPECT_TRUE(load(with("hosts", user + files + "host_network: {camera.so: []}")).hosts.network.contains("all"))
+      << "other plugins reach the brokers only";
+  EXPECT_THAT(refused("{all: [camera-1]}", files), AllOf(HasSubstr("camera-1"), HasSubstr("HOST:PORT")));
+  EXPECT_THAT(refused("{all: []}", ""), HasSubstr("host_files"));
+  EXPECT_THAT(refused("{all: []}", files + "host_call_filter: false\n"), HasSubstr("host_call_filter: true"));
+  if (geteuid() == 0) {
+    EXPECT_THAT(error_of(with("hosts", files + "host_network: {all: []}")), HasSubstr("host_user"));
+  }
+  if (processes::landlock_version() < processes::landlock_of_connections) return;
+  EXPECT_THAT(refused("{camera.so: [\"camera-1:554\"]}", files + "host_ports: {all: [5672], other.so: [554]}\n"),
+              AllOf(HasSubstr("camera-1:554"), HasSubstr("host_ports")));
+}
+
 TEST_F(GatewayConfigTest, TheUserOfHostsMustBeThereAndHaveFewerRights) {
   EXPECT_THAT(error_of(with("hosts", "host_user: no-such-user")),
               AllOf(HasSubstr("host_user"), HasSubstr("no-such-user"), HasSubstr("gateway.yaml:")));

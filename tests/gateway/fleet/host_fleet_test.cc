@@ -180,6 +180,23 @@ TEST_F(HostFleetTest, InstancesOfOnePluginShareAHostAndPluginsDoNot) {
   EXPECT_THAT(commands(1), ElementsAre("create c"));
 }
 
+TEST_F(HostFleetTest, ADeploymentThatNamesItsNetworkHasAHostOfItsOwn) {
+  auto restricted = order("a");
+  restricted.properties = {{"network", ""}, {"isolation", "plugin"}};
+  on_loop([&] {
+    fleet_->create(order("b"));
+    fleet_->create(restricted);
+    fleet_->create(order("c"));
+  });
+  EXPECT_THAT(commands(0), ElementsAre("create b", "create c"));
+  EXPECT_THAT(commands(1), ElementsAre("create a"));
+  on_loop([&] {
+    EXPECT_EQ(launcher_.hosts.at(0)->order.network, std::nullopt);
+    EXPECT_EQ(launcher_.hosts.at(1)->order.network, "") << "nothing but the brokers";
+    EXPECT_TRUE(launcher_.hosts.at(1)->order.isolated);
+  });
+}
+
 TEST_F(HostFleetTest, TheLastInstanceEndsItsHostAndANewOneGetsANewHost) {
   on_loop([&] { fleet_->create(order("a")); });
   on_loop([&] { fleet_->remove("a"_instance, Removal::undeployed); });

@@ -52,6 +52,8 @@ class ProcessTest : public GatewayFixture {
     options.limits = limits_;
     options.confinement = confinement_;
     options.ports = ports_;
+    options.network = network_;
+    options.brokers_places = brokers_places_;
     options.starter = starter_;
     options.environment = environment_;
     options.log_limit_mb = 1;
@@ -104,6 +106,8 @@ class ProcessTest : public GatewayFixture {
   processes::VitalLimits limits_;
   processes::Confinement confinement_;
   ProcessLauncher::Ports ports_;
+  processes::PlacesByCode network_;
+  std::vector<processes::Place> brokers_places_;
   std::vector<std::string> environment_;
   std::string starter_, host_program_ = HOST_PROGRAM;
   const std::shared_ptr<HostMetrics> metrics_ = std::make_shared<HostMetrics>();
