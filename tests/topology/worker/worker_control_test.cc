@@ -264,6 +264,7 @@ TEST_F(WorkerControlTest, RunsAsDeclaredWhenTheRegistryIsSilentAndObeysWhenItSpe
 }
 
 TEST_F(WorkerControlTest, HasJoinedOnlyOnceARegistryThatAnswersLateHasItsRecord) {
+  ASSERT_TRUE(eventually([&] { return server_->sessions().size() == 2; })) << "so that the worker's is the last one";
   auto late = std::make_unique<LateRegistry>(connect());
   LateRegistry& registry = *late;
   registry_ = std::move(late);
