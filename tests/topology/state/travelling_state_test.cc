@@ -49,7 +49,7 @@ class TravellingState : public Endpoints {
                                      {.store = server_.url(), .checkpoint = std::chrono::milliseconds(20)}));
     run_yaml(
         "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time],"
-        " builder: text, properties: {maxTries: 1000}}\nbolts:\n"
+        " builder: text}\nbolts:\n"
         "  count: {class: Count, tasks: " +
             std::to_string(1 + workers_started_++ % 3) +
             ", inputs: {from: in, grouping: fields, fields: [driverID]}}\n"
