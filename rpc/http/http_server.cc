@@ -1,6 +1,8 @@
+#include <algorithm>
 #include <charconv>
 #include <functional>
 #include <list>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string_view>
@@ -24,6 +26,8 @@
 #include <iotcloud/rpc/http/http_address.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/rpc/http/page_guard.h>
+#include <iotcloud/rpc/http/page_turns.h>
+#include <iotcloud/rpc/peer_user.h>
 #include <iotcloud/rpc/refusal_log.h>
 
 namespace iotcloud::rpc {
@@ -41,6 +45,8 @@ constexpr std::uint32_t longest_head = 8192;
 /// The most time for a whole request, from when the server waits for it, however slowly its bytes come; and the most
 /// time until the client has taken the answer.
 constexpr std::chrono::seconds request_limit{15}, answer_limit{15};
+/// The longest time for which a reader waits for its turn (page_turns.h).
+constexpr std::chrono::seconds turn_limit{5};
 /// How long nothing is accepted when descriptors or memory have run out.
 constexpr std::chrono::milliseconds accept_pause{100};
 
@@ -102,15 +108,28 @@ using HttpConnections = std::list<HttpConnection*>;
 struct Shared {
   const Pages& pages;
   const PageGuard& guard;
-  HttpConnections connections;
-  std::function<void(const std::string& reason, const std::string& text)> refused;
+  const config::Clock& clock;
+  PageTurns turns{clock};
+  HttpConnections connections{};
+  std::function<void(const std::string& reason, const std::string& text)> refused{};
 };
+
+/// Who is at the other end, until a certificate says it: a user of this machine, or what comes from one host. All
+/// addresses of loopback are this host.
+std::string stranger_at(tcp::socket& socket) {
+  if (const auto user = peer_user(socket.native_handle())) return fmt::format("user {}", *user);
+  error_code ignored;
+  const auto address = socket.remote_endpoint(ignored).address();
+  return address.is_loopback() ? "localhost" : address.to_string();
+}
 
 /// One connection's place among all.
 class HttpConnection {
  public:
-  explicit HttpConnection(Shared& shared)
-      : shared_(shared), place_(shared.connections.insert(shared.connections.end(), this)) {}
+  HttpConnection(Shared& shared, std::string reader)
+      : shared_(shared),
+        reader_(std::move(reader)),
+        place_(shared.connections.insert(shared.connections.end(), this)) {}
   virtual ~HttpConnection() {
     if (open_) shared_.connections.erase(place_);
   }
@@ -124,8 +143,11 @@ class HttpConnection {
   }
   /// Why the reader's certificate counts no longer; empty: it counts, or there is none.
   virtual std::string distrust(const security::TlsContext& tls) = 0;
+  /// Who shares limits: the holders of one certificate, the processes of one user, or what comes from one host.
+  const std::string& reader() const { return reader_; }
 
  protected:
+  void set_reader(std::string reader) { reader_ = std::move(reader); }
   virtual void close() = 0;
   void begin() { shared_.connections.splice(shared_.connections.end(), shared_.connections, place_); }
   bool is_open() const { return open_; }  ///< false: it was cut, and ends when its operation has
@@ -133,6 +155,7 @@ class HttpConnection {
   Shared& shared_;
 
  private:
+  std::string reader_;
   const HttpConnections::iterator place_;
   bool open_ = true;
 };
@@ -147,7 +170,7 @@ class HttpConnectionOver final : public HttpConnection,
  public:
   template <typename... Rest>
   HttpConnectionOver(Shared& shared, tcp::socket socket, Rest&... rest)
-      : HttpConnection(shared), stream_(std::move(socket), rest...) {}
+      : HttpConnection(shared, stranger_at(socket)), stream_(std::move(socket), rest...) {}
 
   std::string distrust(const security::TlsContext& tls) override {
     if constexpr (secure) {
@@ -164,7 +187,7 @@ class HttpConnectionOver final : public HttpConnection,
       socket_stream().expires_after(request_limit);
       stream_.async_handshake(asio::ssl::stream_base::server, [self = this->shared_from_this()](error_code error) {
         if (!self->is_open()) return;
-        if (!error) return self->read();
+        if (!error) return self->greet();
         self->shared_.refused("tls", "a reader cannot be talked to by TLS: " + error.message());
       });
     } else {
@@ -177,6 +200,12 @@ class HttpConnectionOver final : public HttpConnection,
   beast::tcp_stream& socket_stream() { return beast::get_lowest_layer(stream_); }
   void close() override { socket_stream().close(); }
 
+  /// The handshake has ended.
+  void greet() {
+    if (std::string subject = certificate(); !subject.empty()) set_reader(std::move(subject));
+    read();
+  }
+
   void read() {
     begin();
     parser_.emplace();
@@ -185,7 +214,7 @@ class HttpConnectionOver final : public HttpConnection,
     socket_stream().expires_after(request_limit);
     http::async_read(stream_, buffer_, *parser_, [self = this->shared_from_this()](error_code error, std::size_t) {
       if (!self->is_open()) return;
-      if (!error) return self->write();
+      if (!error) return self->await_turn(std::chrono::steady_clock::now() + turn_limit);
       if (is_no_http(error)) self->shared_.refused("request", "a reader's request is no HTTP: " + error.message());
     });
   }
@@ -196,33 +225,38 @@ class HttpConnectionOver final : public HttpConnection,
            error != http::error::end_of_stream && error != http::error::partial_message;
   }
 
+  /// Answers when it is the reader's turn; who is still waiting then is told to ask for less.
+  void await_turn(std::chrono::steady_clock::time_point end) {
+    const auto wait = shared_.turns.wait(reader());
+    if (wait <= wait.zero()) return write();
+    if (std::chrono::steady_clock::now() + wait > end) {
+      shared_.refused("rate", reader() + " asks for too much");
+      return write(HttpAnswer{429, "text/plain", reader() + " asks for too much; try again later\n"});
+    }
+    turn_.expires_after(wait);
+    turn_.async_wait([self = this->shared_from_this(), end](error_code) {
+      if (self->is_open()) self->await_turn(end);  // others of this reader may have had their turns meanwhile
+    });
+  }
+
   /// The refusal of a request that its token does not allow; nullopt: it does. A connection's token is looked at once,
   /// because that takes time.
   std::optional<HttpAnswer> refusal() {
     if (!shared_.guard.asks_for_token()) return std::nullopt;
     const auto header = parser_->get()[http::field::authorization];
     const std::string shown(header.data(), header.size());
-    if (!reader_ || shown != shown_) {
-      if (!shared_.guard.may_try(shown, caller())) {
-        shared_.refused("token_rate", caller() + " tries too many tokens");
-        return HttpAnswer{429, "text/plain", caller() + " tries too many tokens; try again later\n"};
+    if (!holder_ || shown != shown_) {
+      if (!shared_.guard.may_try(shown, reader())) {
+        shared_.refused("token_rate", reader() + " tries too many tokens");
+        return HttpAnswer{429, "text/plain", reader() + " tries too many tokens; try again later\n"};
       }
-      reader_ = shared_.guard.reader(shown, certificate());
+      holder_ = shared_.guard.reader(shown, certificate());
       shown_ = shown;
     }
-    if (reader_ && shared_.guard.still_may(*reader_)) return std::nullopt;
+    if (holder_ && shared_.guard.still_may(*holder_)) return std::nullopt;
     response_.set(http::field::www_authenticate, "Bearer");
     shared_.refused("token", "a reader shows no token, or one that is nobody's");
     return HttpAnswer{401, "text/plain", "these pages ask for a token: send the header Authorization: Bearer TOKEN\n"};
-  }
-
-  /// Who shares the limit of tries: the holders of one certificate, or what comes from one host. All addresses of
-  /// loopback are this host.
-  std::string caller() {
-    if (std::string subject = certificate(); !subject.empty()) return subject;
-    error_code ignored;
-    const auto address = socket_stream().socket().remote_endpoint(ignored).address();
-    return address.is_loopback() ? "localhost" : address.to_string();
   }
 
   std::string certificate() {
@@ -242,16 +276,18 @@ class HttpConnectionOver final : public HttpConnection,
     return answer_to(shared_.pages, {target.data(), target.size()});
   }
 
-  void write() {
+  /// \param refused the answer instead of a page
+  void write(std::optional<HttpAnswer> refused = std::nullopt) {
     begin();
+    const auto started = shared_.clock.now();
     const auto& request = parser_->get();
     response_ = {};
     response_.version(request.version());
-    response_.keep_alive(request.keep_alive());
+    response_.keep_alive(request.keep_alive() && !refused);
     response_.set(http::field::server, "iotcloud");
     const bool head = request.method() == http::verb::head;
     if (head || request.method() == http::verb::get) {
-      HttpAnswer made = answer();
+      HttpAnswer made = refused ? *std::move(refused) : answer();
       response_.result(static_cast<unsigned>(made.status));
       response_.set(http::field::content_type, made.content_type);
       response_.content_length(made.body.size());
@@ -261,6 +297,7 @@ class HttpConnectionOver final : public HttpConnection,
       response_.set(http::field::allow, "GET, HEAD");
       response_.prepare_payload();
     }
+    shared_.turns.took(reader(), shared_.clock.now() - started);
     socket_stream().expires_after(answer_limit);
     serializer_.emplace(response_);
     serializer_->split(head);
@@ -290,8 +327,9 @@ class HttpConnectionOver final : public HttpConnection,
   std::optional<http::request_parser<http::empty_body>> parser_;
   http::response<http::string_body> response_;
   std::optional<http::response_serializer<http::string_body>> serializer_;
-  std::optional<security::TokenEntry> reader_;
-  std::string shown_;  ///< the header by which `reader_` was found
+  std::optional<security::TokenEntry> holder_;
+  std::string shown_;  ///< the header by which `holder_` was found
+  asio::steady_timer turn_{stream_.get_executor()};
 };
 
 }  // namespace
@@ -302,6 +340,7 @@ struct HttpServer::Impl {
         guard(settings, clock),
         host(HttpAddress(settings.address).host),
         look_period(settings.look_period),
+        shared{pages, guard, clock},
         acceptor(io) {
     shared.refused = [this](const auto& reason, const auto& text) { refused(reason, text); };
     tcp::resolver resolver(io);
@@ -368,15 +407,22 @@ struct HttpServer::Impl {
     });
   }
 
-  /// If there are too many connections, cuts the one that has been the longest at its request, or at taking its answer:
-  /// who asks and reads at once, such as a probe of /healthz, is always answered.
+  /// If there are too many connections, cuts one of the reader that has the most: the one that has been the longest at
+  /// its request, or at taking its answer. So who asks and reads at once, such as a probe of /healthz, is always
+  /// answered, and no reader keeps others away, however fast it asks.
   void make_room() {
-    HttpConnections& connections = shared.connections;
+    const HttpConnections& connections = shared.connections;
     if (connections.size() < most_connections) return;
-    refused("connections", fmt::format("there are {} connections already; the one that has been the longest at its "
-                                       "request, or at taking its answer, is cut off",
-                                       connections.size()));
-    connections.front()->cut();
+    std::map<std::string, std::size_t> counts;
+    for (const auto* const one : connections) ++counts[one->reader()];
+    const auto most = std::max_element(counts.begin(), counts.end(),
+                                       [](const auto& one, const auto& other) { return one.second < other.second; });
+    refused("connections", fmt::format("there are {} connections already; of {}, who has {} of them, the one that has "
+                                       "been the longest at its request, or at taking its answer, is cut off",
+                                       connections.size(), most->first, most->second));
+    const auto of_it = std::find_if(connections.begin(), connections.end(),
+                                    [&](const auto* one) { return one->reader() == most->first; });
+    (*of_it)->cut();
   }
 
   void refused(const std::string& reason, const std::string& text) {
@@ -394,7 +440,7 @@ struct HttpServer::Impl {
   std::uint16_t bound_port = 0;
   const config::Logger logger{"http"};
   RefusalLog log{logger};
-  Shared shared{pages, guard, {}, {}};  ///< declared before `io`, whose destructor destroys connections
+  Shared shared;  ///< declared before `io`, whose destructor destroys connections
   asio::io_context io{1};
   tcp::acceptor acceptor;
   asio::steady_timer pause{io}, looking{io};

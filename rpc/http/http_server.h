@@ -28,16 +28,19 @@ struct HttpAnswer {
 using HttpHandler = std::function<HttpAnswer(const HttpRequest&)>;
 
 /// A small HTTP/1.1 server for a daemon's own pages, from construction to destruction: GET and HEAD, one thread, at
-/// most 64 connections. One more makes the server cut off the connection that has been the longest at sending its
-/// request or taking its answer; so slow clients keep nobody away. Counted: iotcloud_http_refused_total{reason}.
-/// An address that other machines can reach has TLS 1.2+ and takes a token ("Authorization: Bearer TOKEN"; 401
-/// without), see page_settings.h. Only daemons link it. Thread safe.
+/// most 64 connections. One more makes the server cut off, of the reader who has the most, the connection that has been
+/// the longest at sending its request or taking its answer; so neither slow clients nor many keep others away. A reader
+/// is who has a certificate, a user of this machine, or a host. One has a quarter of the thread's time while others
+/// ask, and gets 429 where its turn would come too late. Counted: iotcloud_http_refused_total{reason}. An address that
+/// other machines can reach has TLS 1.2+ and takes a token ("Authorization: Bearer TOKEN"; 401 without), see
+/// page_settings.h. Only daemons link it. Thread safe.
 class HttpServer {
  public:
   /// \param settings with an address "host:port", for example "127.0.0.1:9100"; port 0: any free port.
   /// \param pages the handler of each path, kept until the destructor ends.
   /// \throws Error when the address cannot be read or bound, or may not be served with these settings.
-  /// \param clock by which token files are looked at and tries of tokens are counted. Outlives the server.
+  /// \param clock by which token files are looked at, and tries of tokens and the time for each reader are counted.
+  /// Outlives the server.
   HttpServer(const PageSettings& settings, std::map<std::string, HttpHandler> pages,
              const config::Clock& clock = config::system_clock());
   /// The same without TLS and tokens.

@@ -20,17 +20,20 @@
 #include <iotcloud/rpc/http/http_client.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/rpc/http/metrics_endpoint.h>
+#include <iotcloud/rpc/http/page_turns.h>
 #include <iotcloud/security/renewals.h>
 #include <iotcloud/security/tokens.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/rpc/as_nobody.h>
 #include <iotcloud/tests/security/certificates.h>
 #include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::rpc {
 namespace {
 
+using namespace std::chrono_literals;
 using testing::AllOf;
 using testing::AnyOf;
 using testing::HasSubstr;
@@ -364,6 +367,47 @@ TEST_F(GuardedPages, AFloodOfTokensFromAllAddressesOfLoopbackIsThatOfOneCaller) 
   EXPECT_THAT(answer_to("127.0.0.21"), AllOf(StartsWith("HTTP/1.1 429"), HasSubstr("tries too many tokens")));
 }
 
+TEST(HttpServer, TheConnectionsOfOneUserOfTheMachineAreCutBeforeThoseOfOthers) {
+  if (geteuid() != 0) GTEST_SKIP() << "only root can make a socket of another user";
+  const HttpServer server("127.0.0.1:0", {{"/p", [](const HttpRequest&) { return HttpAnswer{}; }}});
+  const Client own(server);
+  std::vector<std::unique_ptr<Client>> others;
+  {
+    const test::AsNobody nobody;
+    others = all_connections(server);
+  }
+  EXPECT_TRUE(tests::eventually([&] { return others.front()->closed(); }));
+  EXPECT_FALSE(own.closed());
+}
+
+TEST(PageTurns, AReaderHasAQuarterOfTheTimeWhileOthersHaveTheirs) {
+  tests::HandClock clock;
+  PageTurns turns(clock);
+  std::chrono::milliseconds read{0};
+  for (int i = 0; i < 1'000; ++i) {
+    if (turns.wait("CN=busy").count() == 0) {
+      turns.took("CN=busy", 9ms);
+      read += 10ms;  // with what each answer costs besides its page
+    }
+    EXPECT_EQ(turns.wait("CN=other").count(), 0);
+    clock.advance(10ms);
+  }
+  EXPECT_GE(read, 3'400ms) << "a second at once, and a quarter of ten";
+  EXPECT_LE(read, 3'600ms);
+  clock.advance(1h);
+  EXPECT_EQ(turns.wait("CN=busy").count(), 0);
+}
+
+TEST(PageTurns, RemembersOnlyThoseWhoHaveAskedLately) {
+  tests::HandClock clock;
+  PageTurns turns(clock);
+  for (int i = 0; i < 10'000; ++i) {
+    turns.took(std::to_string(i), 0ms);
+    clock.advance(1ms);
+  }
+  EXPECT_LE(turns.remembered(), 1'000u);
+}
+
 /// A connection with a certificate that is kept after each answer.
 class KeptConnection {
  public:
@@ -375,19 +419,23 @@ class KeptConnection {
     SSL_set_fd(ssl_.get(), client_.descriptor());
     EXPECT_EQ(SSL_connect(ssl_.get()), 1);
   }
-  /// \return false if the connection was cut
-  bool reads_the_page() {
+  /// \return false if the connection was cut, or the page refused
+  bool reads_the_page() { return asks() && answer().find("the page") != std::string::npos; }
+  /// Asks for the page. \return false if the connection was cut
+  bool asks() {
     const std::string request = "GET /p HTTP/1.1\r\nHost: here\r\nAuthorization: Bearer " + token_ + "\r\n\r\n";
-    if (SSL_write(ssl_.get(), request.data(), static_cast<int>(request.size())) <= 0) return false;
+    return SSL_write(ssl_.get(), request.data(), static_cast<int>(request.size())) > 0;
+  }
+  /// The page, or what comes until the connection ends instead.
+  std::string answer() {
     std::string answer;
     std::array<char, 4096> buffer{};
     while (answer.find("the page") == std::string::npos) {
       const int count = SSL_read(ssl_.get(), buffer.data(), static_cast<int>(buffer.size()));
-      if (count <= 0) return false;
+      if (count <= 0) break;
       answer.append(buffer.data(), static_cast<std::size_t>(count));
-      if (answer.starts_with("HTTP/1.1 401")) return false;
     }
-    return true;
+    return answer;
   }
 
  private:
@@ -404,6 +452,55 @@ TEST_F(GuardedPages, AreClosedToWhomATokenIsTakenFromByThemselvesAlsoOverOpenCon
   ASSERT_TRUE(security::remove_token(settings_.tokens, "prometheus"));
   EXPECT_TRUE(tests::eventually([&] { return !stolen.reads_the_page(); }));
   EXPECT_THAT(read(server, {certificates_.of("operator"), token_}), HasSubstr("Authorization: Bearer"));
+}
+
+TEST_F(GuardedPages, AreReadOverAnOpenConnectionWhileAnotherReaderHoldsAllOthersAndAsks) {
+  certificates_.authority().certify_caller("thief");
+  const HttpServer server(settings_, pages_);
+  KeptConnection honest(server, certificates_.of("operator"), token_);
+  EXPECT_TRUE(honest.reads_the_page());
+  std::vector<std::unique_ptr<KeptConnection>> thief;
+  for (int i = 0; i < 64; ++i) {
+    thief.push_back(std::make_unique<KeptConnection>(server, certificates_.of("thief"), token_));
+    EXPECT_TRUE(thief.back()->reads_the_page());
+  }
+  EXPECT_FALSE(thief.front()->reads_the_page()) << "it made room";
+  EXPECT_TRUE(honest.reads_the_page());
+}
+
+TEST_F(GuardedPages, AReaderWhoAsksWithoutEndIsToldToAskForLessAndOthersRead) {
+  certificates_.authority().certify_caller("thief");
+  tests::HandClock clock;
+  const HttpServer server(settings_,
+                          {{"/p",
+                            [&](const HttpRequest&) {
+                              clock.advance(3s);  // so long the page takes
+                              return HttpAnswer{200, "text/plain", "the page"};
+                            }}},
+                          clock);
+  KeptConnection thief(server, certificates_.of("thief"), token_);
+  EXPECT_TRUE(thief.reads_the_page());
+  EXPECT_TRUE(thief.asks());
+  EXPECT_THAT(thief.answer(), AllOf(StartsWith("HTTP/1.1 429"), HasSubstr("CN=thief asks for too much")));
+  EXPECT_EQ(read(server, {certificates_.of("operator"), token_}), "the page");
+  clock.advance(1h);
+  EXPECT_EQ(read(server, {certificates_.of("thief"), token_}), "the page");
+}
+
+TEST_F(GuardedPages, WaitForTheTurnOfAReaderWhoAsksOften) {
+  tests::HandClock clock;
+  const HttpServer server(settings_,
+                          {{"/p",
+                            [&](const HttpRequest&) {
+                              clock.advance(1s);
+                              return HttpAnswer{200, "text/plain", "the page"};
+                            }}},
+                          clock);
+  KeptConnection reader(server, certificates_.of("operator"), token_);
+  EXPECT_TRUE(reader.reads_the_page());
+  EXPECT_TRUE(reader.asks());
+  clock.advance(10s);
+  EXPECT_THAT(reader.answer(), HasSubstr("the page"));
 }
 
 TEST_F(GuardedPages, AreClosedAtOnceToWhomATokenIsTakenFromWhenTheServerIsTold) {
