@@ -104,7 +104,7 @@ void read_plugins(config::YamlSection& file, GatewayConfig& config) {
   config.plugin_upload_limit = file.int_or("plugins.upload_limit_mb", usual_mb, 1, most_mb) << 20;
   config.trust = security::read_signers(file, "plugins");
   config.hosts.trust_folder = file.bool_or("plugins.trust_folder", false);
-  config.hosts.require_version = file.bool_or("plugins.require_version", false);
+  config.hosts.require_version = security::read_require_version(file, "plugins", config.trust.get());
   config.hosts.allow_rollback = file.strings_or("plugins.allow_rollback", {});
   config.hosts.trust = config.trust;
 }

@@ -135,6 +135,16 @@ std::shared_ptr<TrustedKeys> read_signers(config::YamlSection& file, const std::
   return keys;
 }
 
+bool read_require_version(config::YamlSection& file, const std::string& prefix, const TrustedKeys* signers) {
+  const std::string key = prefix + ".require_version";
+  const bool required = file.bool_or(key, false);
+  if (required && signers != nullptr && !signers->requires_signature()) {
+    file.refuse(key, fmt::format("versions are in signatures, which {} need not have here", prefix),
+                fmt::format("{0}.require_signature: true, with {0}.trusted_keys", prefix));
+  }
+  return required;
+}
+
 std::shared_ptr<TrustedKeys> read_trusted_masters(config::YamlSection& file) {
   TrustedKeys::Options options{true, file.strings_or("orders.trusted_keys", {})};
   if (options.trusted_keys.empty()) return nullptr;

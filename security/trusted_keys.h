@@ -57,6 +57,10 @@ class TrustedKeys {
 /// Reads `<prefix>.require_signature` and `<prefix>.trusted_keys` of a daemon's file: who may sign what is sent to it.
 std::shared_ptr<TrustedKeys> read_signers(config::YamlSection& file, const std::string& prefix);
 
+/// Reads `<prefix>.require_version` of a daemon's file, and refuses it where no signature is needed: whoever takes a
+/// signature away would take the version away with it. \param signers of the same prefix; null: they were refused
+bool read_require_version(config::YamlSection& file, const std::string& prefix, const TrustedKeys* signers);
+
 /// Reads `orders.trusted_keys` of a daemon's file: the masters whose orders it follows. \return nullptr: all masters'.
 std::shared_ptr<TrustedKeys> read_trusted_masters(config::YamlSection& file);
 

@@ -228,6 +228,16 @@ TEST_F(GatewayConfigTest, WhosePluginsRunIsRead) {
               AllOf(HasSubstr("plugins.trusted_keys"), HasSubstr("/nowhere.pub")));
 }
 
+TEST_F(GatewayConfigTest, AVersionIsNotRequiredOfPluginsThatNeedNoSignature) {
+  // Else whoever puts an old plugin there takes its signature away, and nobody looks at its version.
+  for (const char* more : {"", "\nplugins.require_signature: false", "\nplugins.trust_folder: true"}) {
+    EXPECT_THAT(error_of(with("thrift", std::string("plugins.require_version: true") + more)),
+                AllOf(HasSubstr("plugins.require_version"), HasSubstr("plugins.require_signature: true"),
+                      HasSubstr("plugins.trusted_keys")))
+        << more;
+  }
+}
+
 TEST_F(GatewayConfigTest, APluginFolderThatEverybodyMayWriteIsRefused) {
   std::filesystem::permissions(folder_, std::filesystem::perms::all);
   EXPECT_THAT(error_of(with("thrift", "")), AllOf(HasSubstr("plugins"), HasSubstr("chmod o-w " + folder_.string())));

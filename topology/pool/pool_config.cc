@@ -33,11 +33,8 @@ void read_keys(config::YamlSection& file, PoolConfig& config) {
   constexpr std::int64_t usual_mb = 64, most_mb = 4096;
   config.upload_limit = file.int_or("libraries.upload_limit_mb", usual_mb, 1, most_mb) << 20;
   config.library_keys = security::read_signers(file, "libraries");
-  config.workers.require_version = file.bool_or("libraries.require_version", false);
+  config.workers.require_version = security::read_require_version(file, "libraries", config.library_keys.get());
   config.workers.allow_rollback = file.strings_or("libraries.allow_rollback", {});
-  if (config.workers.require_version && !config.library_keys->requires_signature())
-    file.refuse("libraries.require_version", "versions are in signatures, which libraries need not have",
-                "libraries.require_signature: true");
   config.order_keys = security::read_trusted_masters(file);
   config.pool.masters = config.order_keys;
 }

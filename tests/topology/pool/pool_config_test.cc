@@ -80,6 +80,10 @@ TEST_F(PoolConfigTest, SaysWhatIsWrong) {
   EXPECT_THAT(error_of("libraries.require_signature: true"), HasSubstr("libraries.require_signature"));
   EXPECT_THAT(error_of("libraries.require_version: true"),
               AllOf(HasSubstr("libraries.require_version"), HasSubstr("libraries.require_signature: true")));
+  EXPECT_THAT(
+      error_of(
+          "libraries.require_version: true\nlibraries.require_signature: true\nlibraries.trusted_keys: [/nowhere]"),
+      HasSubstr("/nowhere"));
   EXPECT_THAT(error_of("thrift: {host: 0.0.0.0, port: 1}"),
               AllOf(HasSubstr("thrift.host"), HasSubstr("TLS and tokens")));
   EXPECT_THAT(error_of("worker_ports: {follower: [1]}"), HasSubstr("all: [5672]"));
