@@ -84,7 +84,10 @@ struct Gateway::Impl {
     to.present = [this] { return instances.present(); };
     to.without_record = [this](const auto& of) { return instances.without_record(of); };
     to.on_frozen = [this] { instances.publish_adopted(); };
-    if (audit) to.audit = [this](security::AuditEntry entry) { audit->write(std::move(entry)); };
+    if (audit) {
+      to.audit_begun = [this](const auto& orders) { audit->begin(orders); };
+      to.audit = [this](security::AuditEntry entry) { audit->write(std::move(entry)); };
+    }
     to.on_orders_read = [this] {
       knows_registry = true;
       write_records();

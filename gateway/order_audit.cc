@@ -1,6 +1,6 @@
+#include <optional>
 #include <utility>
 
-#include <iotcloud/gateway/logger.h>
 #include <iotcloud/gateway/order_audit.h>
 
 namespace iotcloud::gateway {
@@ -16,28 +16,32 @@ OrderAudit::~OrderAudit() {
   thread_.join();
 }
 
+void OrderAudit::begin(const std::vector<security::AuditEntry>& orders) {
+  log_->write_begun(orders);
+}
+
 void OrderAudit::write(security::AuditEntry entry) {
+  auto line = entry.event == security::AuditEvent::refused
+                  ? log_->count_refused(std::move(entry))
+                  : std::optional(security::AuditLog::Counted{std::move(entry), 0});
+  if (!line) return;
   {
     const config::MutexLock lock(mutex_);
-    if (waiting_.size() >= most_waiting) {
-      logger.error("the audit log is too far behind for a line: {} {}: {}", entry.order, entry.what, entry.outcome);
-      return;
-    }
-    waiting_.push_back(std::move(entry));
+    waiting_.push_back(*std::move(line));
   }
   changed_.notify_all();
 }
 
 void OrderAudit::work() {
   for (;;) {
-    std::vector<security::AuditEntry> entries;
+    std::vector<security::AuditLog::Counted> lines;
     {
       const config::MutexLock lock(mutex_);
       while (waiting_.empty() && !ending_) changed_.wait(mutex_);
       if (waiting_.empty()) return;
-      entries.swap(waiting_);
+      lines.swap(waiting_);
     }
-    log_->write_all(entries);
+    log_->write_all(lines);
   }
 }
 

@@ -1,6 +1,5 @@
 #pragma once
 
-#include <cstddef>
 #include <memory>
 #include <thread>
 #include <vector>
@@ -10,8 +9,8 @@
 
 namespace iotcloud::gateway {
 
-/// Writes what the registry ordered into the audit log, on a thread of its own: the disk holds up no order. Thread
-/// safe.
+/// Writes what the registry ordered into the audit log: that an order is about to be followed before it is, and the
+/// rest on a thread of its own, so that refusals hold up no order. Thread safe.
 class OrderAudit {
  public:
   explicit OrderAudit(std::shared_ptr<security::AuditLog> log);
@@ -20,11 +19,12 @@ class OrderAudit {
   OrderAudit(const OrderAudit&) = delete;
   OrderAudit& operator=(const OrderAudit&) = delete;
 
-  /// Takes a line, and returns at once. When the disk is so far behind that `most_waiting` lines wait, the line is in
-  /// the ordinary log only.
+  /// Writes that these orders are about to be followed; returns when that is on the disk. \throws config::Error if they
+  /// must not be followed (security::AuditLog::write_begun())
+  void begin(const std::vector<security::AuditEntry>& orders);
+  /// Takes the line of an order that was followed, or refused, and returns at once. Of refusals it takes no more than
+  /// the log writes.
   void write(security::AuditEntry entry) IOTCLOUD_EXCLUDES(mutex_);
-
-  static constexpr std::size_t most_waiting = 10'000;
 
  private:
   void work() IOTCLOUD_EXCLUDES(mutex_);
@@ -32,7 +32,7 @@ class OrderAudit {
   const std::shared_ptr<security::AuditLog> log_;
   config::Mutex mutex_;
   config::ConditionVariable changed_;
-  std::vector<security::AuditEntry> waiting_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::vector<security::AuditLog::Counted> waiting_ IOTCLOUD_GUARDED_BY(mutex_);
   bool ending_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::thread thread_;  ///< last, because it uses the other members
 };

@@ -38,6 +38,24 @@ struct OrderFeed::Found {
   }
 };
 
+/// A signed order, or removal of one, that is followed now.
+struct OrderFeed::Followed {
+  FollowedOrder order;
+  std::string signer;
+  std::string path;   ///< of its node
+  std::string what;   ///< what it is about, besides its instance
+  bool fresh = true;  ///< it was not followed before a restart
+  security::AuditEntry line() const {
+    security::AuditEntry entry;
+    entry.who = signer;
+    entry.role = to_string(security::Role::master);
+    entry.address = "registry";
+    entry.order = path;
+    entry.what = fmt::format("{} of {}", what, order.instance);
+    return entry;
+  }
+};
+
 OrderFeed::OrderFeed(discovery::Registry& registry, discovery::Paths paths, discovery::GatewayId gateway,
                      EventLoop& loop, const config::Clock& clock, Listener listener,
                      std::shared_ptr<const security::TrustedKeys> masters, std::string followed_file)
@@ -410,26 +428,22 @@ OrderFeed::Instances OrderFeed::without_removal(const Instances& names) {
   for (const auto& instance : missing) paths.push_back(paths_.removal(gateway_, instance));
   const auto nodes = paths.empty() ? std::vector<std::optional<discovery::Node>>() : registry_.get_all(paths);
   Instances unproven;
-  std::vector<FollowedOrder> removals;
-  std::vector<std::string> signers;  // of the same
+  std::vector<Followed> removals;
   std::size_t i = 0;
   for (const auto& instance : missing) {
     const auto& node = nodes[i++];
     const auto* last = done_.find(instance);
     if (last != nullptr && last->removed) continue;  // by an earlier run, which did not end the instance
     if (auto removed = removal_of(instance, node)) {
-      removals.push_back(followed(instance, removed->given_ms));
-      removals.back().removed = true;
-      signers.push_back(std::move(removed->signer));
+      removals.push_back({followed(instance, removed->given_ms), std::move(removed->signer),
+                          paths_.removal(gateway_, instance), "removal"});
+      removals.back().order.removed = true;
     } else {
       unproven.insert(instance);
     }
   }
-  done_.add(removals);
-  for (std::size_t at = 0; at < removals.size(); ++at) {
-    const auto& instance = removals[at].instance;
-    audit_followed(instance, signers[at], paths_.removal(gateway_, instance), "removal");
-  }
+  write_down(removals);
+  audit_followed(removals);
   std::erase_if(unproven_, [&](const auto& entry) { return !unproven.contains(entry.first); });
   for (const auto& instance : unproven) {
     if (unproven_.contains(instance)) continue;
@@ -571,47 +585,60 @@ FollowedOrder OrderFeed::followed(const discovery::InstanceId& instance, std::in
 void OrderFeed::follow_due() {
   const auto due = std::exchange(due_, {});
   if (due.empty() || stopped_) return;
-  std::vector<FollowedOrder> orders;
-  Instances fresh;  // not what was followed before a restart
+  std::vector<Followed> orders;
   for (const auto& [instance, one] : due) {
     const auto* last = done_.find(instance);
-    if (last == nullptr || last->removed || last->given_ms != one.order.given_ms) fresh.insert(instance);
-    orders.push_back(followed(instance, one.order.given_ms));
-    orders.back().created = one.created;
-    orders.back().version = one.version;
+    const bool fresh = last == nullptr || last->removed || last->given_ms != one.order.given_ms;
+    orders.push_back({followed(instance, one.order.given_ms), one.signer, paths_.order(gateway_, instance),
+                      one.order.plugin, fresh});
+    orders.back().order.created = one.created;
+    orders.back().order.version = one.version;
   }
   try {
-    done_.add(orders);
+    write_down(orders);
   } catch (const config::Error& e) {
     logger.error("{}", e.what());
     for (const auto& [instance, one] : due) {
       initial_.insert(instance);
       refuse(instance, paths_.order(gateway_, instance),
-             "the order for {}, because it cannot be written down that it was followed",
-             "It is followed when the state folder can be written");
+             "the order for {}, because it cannot be written down that it is followed",
+             "It is followed when the state folder and the audit log can be written");
     }
     return read_refused_later();
   }
   for (const auto& [instance, one] : due) {
     first_.erase(instance);
-    if (fresh.contains(instance))
-      audit_followed(instance, one.signer, paths_.order(gateway_, instance), one.order.plugin);
     listener_.on_order(one.order, one.version);
   }
+  audit_followed(orders);
 }
 
-/// \param what the order is about, besides its instance
-void OrderFeed::audit_followed(const discovery::InstanceId& instance, const std::string& signer,
-                               const std::string& path, const std::string& what) const {
-  if (!listener_.audit || !masters_) return;
-  security::AuditEntry entry;
-  entry.who = signer;
-  entry.role = to_string(security::Role::master);
-  entry.address = "registry";
-  entry.order = path;
-  entry.what = fmt::format("{} of {}", what, instance);
-  entry.outcome = "followed";
-  listener_.audit(std::move(entry));
+/// Brings to the disk that these orders are followed, before they are: into the audit log, and for a restart. \throws
+/// config::Error when they must not be followed now
+void OrderFeed::write_down(const std::vector<Followed>& orders) {
+  std::vector<security::AuditEntry> lines;
+  std::vector<FollowedOrder> known;
+  for (const auto& one : orders) {
+    known.push_back(one.order);
+    const auto begun = begun_.find(one.path);
+    const bool told = begun != begun_.end() && begun->second == one.order.given_ms;
+    if (one.fresh && !told) lines.push_back(one.line());
+  }
+  if (listener_.audit_begun && !lines.empty()) {
+    listener_.audit_begun(lines);
+    for (const auto& one : orders) begun_[one.path] = one.order.given_ms;
+  }
+  done_.add(known);
+}
+
+void OrderFeed::audit_followed(const std::vector<Followed>& orders) {
+  for (const auto& one : orders) {
+    begun_.erase(one.path);
+    if (!listener_.audit || !one.fresh) continue;
+    auto line = one.line();
+    line.outcome = "followed";
+    listener_.audit(std::move(line));
+  }
 }
 
 bool OrderFeed::is_out_of_date(const discovery::OrderRecord& order) const {

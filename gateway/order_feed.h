@@ -63,7 +63,10 @@ class OrderFeed {
     std::function<void()> on_frozen;
     /// The orders have been read, and are followed or not: from now on the gateway may write its records.
     std::function<void()> on_orders_read;
-    /// Takes a line for the audit log: a signed order, or removal of one, that is followed now, or one that is refused.
+    /// Writes into the audit log that signed orders, or removals of orders, are about to be followed. May be empty.
+    /// \throws config::Error when they must not be followed, because that cannot be written
+    std::function<void(const std::vector<security::AuditEntry>& orders)> audit_begun{};
+    /// Takes a line for the audit log: a signed order, or removal of one, that was followed, or one that is refused.
     /// May be empty.
     std::function<void(security::AuditEntry entry)> audit{};
   };
@@ -119,8 +122,9 @@ class OrderFeed {
   std::optional<std::string> signer_of(const std::string& path, const discovery::Node& node) const;
   bool is_out_of_date(const discovery::OrderRecord& order) const;
   bool leads_now(std::int64_t epoch) const;
-  void audit_followed(const discovery::InstanceId& instance, const std::string& signer, const std::string& path,
-                      const std::string& what) const;
+  struct Followed;
+  void write_down(const std::vector<Followed>& orders);
+  void audit_followed(const std::vector<Followed>& orders);
   FollowedOrder followed(const discovery::InstanceId& instance, std::int64_t given_ms) const;
   void follow_due();
   void read_refused_later();
@@ -157,6 +161,9 @@ class OrderFeed {
     std::string signer;
   };
   std::map<discovery::InstanceId, Due> due_;
+  /// Of what is followed as soon as it can be written down: by the path of each, the time of the order of which the
+  /// audit log says already that it is about to be followed.
+  std::map<std::string, std::int64_t> begun_;
   Instances first_;              ///< orders that stood there at the start or at an adoption, and are not read yet
   std::int64_t started_ms_ = 0;  ///< wall time
   /// Orders that are gone, and no master says that it removed them: tells when one does.

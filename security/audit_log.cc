@@ -195,26 +195,36 @@ bool AuditLog::write(const AuditEntry& entry) {
 }
 
 void AuditLog::write_begun(AuditEntry entry) {
-  entry.event = AuditEvent::begun;
-  if (write(entry) || settings_.when_full == AuditSettings::WhenFull::go_on) return;
+  write_begun(std::vector{std::move(entry)});
+}
+
+void AuditLog::write_begun(const std::vector<AuditEntry>& entries) {
+  std::vector<std::string> texts;
+  for (AuditEntry entry : entries) {
+    entry.event = AuditEvent::begun;
+    texts.push_back(text_of(entry, 0));
+  }
+  if (write_lines(std::move(texts)) || settings_.when_full == AuditSettings::WhenFull::go_on) return;
   throw config::Error(
       "the order is not carried out, because the audit log cannot be written: make room on its disk (audit: "
       "{when_full: refuse})");
 }
 
 bool AuditLog::write_refused(AuditEntry entry) {
-  entry.event = AuditEvent::refused;
-  const auto unwritten = due(entry);
-  if (unwritten) write_lines({text_of(entry, *unwritten)});
-  return unwritten.has_value();
+  const auto line = count_refused(std::move(entry));
+  if (line) write_all({*line});
+  return line.has_value();
 }
 
-void AuditLog::write_all(const std::vector<AuditEntry>& entries) {
+std::optional<AuditLog::Counted> AuditLog::count_refused(AuditEntry entry) {
+  entry.event = AuditEvent::refused;
+  const auto unwritten = due(entry);
+  return unwritten ? std::optional(Counted{std::move(entry), *unwritten}) : std::nullopt;
+}
+
+void AuditLog::write_all(const std::vector<Counted>& lines) {
   std::vector<std::string> texts;
-  for (const auto& entry : entries) {
-    const auto unwritten = entry.event == AuditEvent::refused ? due(entry) : 0;
-    if (unwritten) texts.push_back(text_of(entry, *unwritten));
-  }
+  for (const auto& line : lines) texts.push_back(text_of(line.entry, line.unwritten));
   write_lines(std::move(texts));
 }
 

@@ -75,12 +75,21 @@ class AuditLog {
   /// Writes that an order is about to be carried out. \throws Error if it cannot, and the settings say `refuse`: then
   /// the caller must not carry it out.
   void write_begun(AuditEntry entry) IOTCLOUD_EXCLUDES(mutex_);
+  /// The same of several orders, with one wait for the disk: if one line cannot be written, none may be carried out.
+  void write_begun(const std::vector<AuditEntry>& entries) IOTCLOUD_EXCLUDES(mutex_);
   /// Writes a refusal, within the limit of its identity: the token's name, or the address's host.
   /// \return whether it was written
   bool write_refused(AuditEntry entry) IOTCLOUD_EXCLUDES(mutex_);
-  /// Writes all these lines as write() does, and the refusals among them as write_refused() does, with one wait for the
-  /// disk.
-  void write_all(const std::vector<AuditEntry>& entries) IOTCLOUD_EXCLUDES(mutex_);
+  /// A line for write_all().
+  struct Counted {
+    AuditEntry entry;
+    std::uint64_t unwritten = 0;  ///< so many refusals before it have no line
+  };
+  /// Counts a refusal within the limit of its identity, and does not wait for the disk. \return what to write; nullopt:
+  /// nothing
+  std::optional<Counted> count_refused(AuditEntry entry) IOTCLOUD_EXCLUDES(mutex_);
+  /// Writes all these lines as write() does, with one wait for the disk.
+  void write_all(const std::vector<Counted>& lines) IOTCLOUD_EXCLUDES(mutex_);
   /// Opens the file by its name again, after somebody renamed the old file. When it has returned, nothing is written to
   /// the old file any more. \throws Error, and keeps the old one.
   void reopen() IOTCLOUD_EXCLUDES(mutex_);

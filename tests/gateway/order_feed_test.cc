@@ -10,6 +10,7 @@
 
 #include <gmock/gmock.h>
 
+#include <iotcloud/config/error.h>
 #include <iotcloud/gateway/order_feed.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/discovery/id_literals.h>
@@ -162,28 +163,37 @@ class OrderFeedTest : public testing::Test {
   std::int64_t created_ = 0;
   std::vector<std::string> heard_;             ///< of the loop
   std::vector<security::AuditEntry> audited_;  ///< of the loop
+  std::size_t audited_before_ = 0;             ///< of the loop: lines before the last order was followed
+  bool audit_is_full_ = false;                 ///< of the loop
   OrderFeed::Instances present_;               ///< the gateway's instances
   OrderFeed::Instances recorded_;              ///< those whose record the registry has
   EventLoop loop_{"order-feed"};
-  OrderFeed feed_{
-      registry_,
-      paths_,
-      "gw"_gateway,
-      loop_,
-      clock_,
-      {[this](const auto& names) { heard_.push_back("first " + std::to_string(names.size())); },
-       [this](const auto& order, std::int64_t) { heard_.push_back("order " + order.instance); },
-       [this](const auto& instance) { heard_.push_back("gone " + instance); }, [this] { return present_; },
-       [this](const auto& of) {
-         OrderFeed::Instances without;
-         for (const auto& instance : of) {
-           if (!recorded_.contains(instance)) without.insert(instance);
-         }
-         return without;
-       },
-       [this] { heard_.push_back("frozen"); }, [] {}, [this](const auto& entry) { audited_.push_back(entry); }},
-      masters_,
-      followed_file_};
+  OrderFeed feed_{registry_,
+                  paths_,
+                  "gw"_gateway,
+                  loop_,
+                  clock_,
+                  {[this](const auto& names) { heard_.push_back("first " + std::to_string(names.size())); },
+                   [this](const auto& order, std::int64_t) {
+                     audited_before_ = audited_.size();
+                     heard_.push_back("order " + order.instance);
+                   },
+                   [this](const auto& instance) { heard_.push_back("gone " + instance); }, [this] { return present_; },
+                   [this](const auto& of) {
+                     OrderFeed::Instances without;
+                     for (const auto& instance : of) {
+                       if (!recorded_.contains(instance)) without.insert(instance);
+                     }
+                     return without;
+                   },
+                   [this] { heard_.push_back("frozen"); }, [] {},
+                   [this](const auto& orders) {
+                     if (audit_is_full_) throw config::Error("the audit log cannot be written");
+                     audited_.insert(audited_.end(), orders.begin(), orders.end());
+                   },
+                   [this](const auto& entry) { audited_.push_back(entry); }},
+                  masters_,
+                  followed_file_};
 };
 
 TEST_F(OrderFeedTest, AnOrderThatGoesBeforeTheListOfNamesWasToldWithItIsTakenBack) {
@@ -228,6 +238,11 @@ struct MasterKey {
 class KeyedOrderFeed : private MasterKey, public OrderFeedTest {
  protected:
   KeyedOrderFeed() : OrderFeedTest(trust(), folder / "followed-orders.jsonl") {}
+  void give_signed(const std::string& instance) {
+    give(instance);
+    auto& node = registry_.nodes.at(path(instance));
+    node.data = security::sign_object(signer.key(), path(instance), node.data);
+  }
   const std::string removal_ = paths_.removal("gw"_gateway, "a"_instance);
   Node removed() {
     const std::string bytes = encode(discovery::OrderRemoval{"a"_instance, 1, clock_.wall_ms()});
@@ -265,20 +280,45 @@ TEST_F(KeyedOrderFeed, TakesARemovalFromBeforeTheStart) {
   EXPECT_EQ(feed_.refused(), "");
 }
 
-TEST_F(KeyedOrderFeed, WritesDownThatItFollowsARemovalOnceThatIsOnTheDisk) {
+TEST_F(KeyedOrderFeed, FollowsOrdersOnceTheAuditLogSaysSo) {
+  for (const char* instance : {"a", "b"}) give_signed(instance);
+  on_loop([&] { audit_is_full_ = true; });
+  feed_.start();
+  registry_.tell_names(Names{"a", "b"});
+  EXPECT_THAT(heard(), ElementsAre("first 2"));
+  EXPECT_THAT(feed_.refused(), testing::HasSubstr("cannot be written down"));
+  on_loop([&] {
+    EXPECT_GE(audited_.size(), 2u) << "they are refused";
+    audited_.clear();
+    audit_is_full_ = false;
+    feed_.read_refused_again();
+  });
+  EXPECT_THAT(heard(), ElementsAre("order a", "order b"));
+  on_loop([&] {
+    EXPECT_EQ(audited_before_, 2u);
+    ASSERT_EQ(audited_.size(), 4u) << "before, and after";
+    EXPECT_EQ(audited_.back().outcome, "followed");
+  });
+  EXPECT_EQ(feed_.refused(), "");
+}
+
+TEST_F(KeyedOrderFeed, WritesDownOnceThatItFollowsARemovalAndThatItHasOnceThatIsOnTheDisk) {
   std::filesystem::create_directory(followed_file_);  // so that it cannot be written
   present_ = recorded_ = {"a"_instance};
   registry_.nodes[removal_] = removed();
   feed_.start();
   registry_.tell_names(Names{});
   on_loop([&] {
-    EXPECT_TRUE(audited_.empty());
-    EXPECT_TRUE(heard_.empty());
-    std::filesystem::remove(followed_file_);
     feed_.read_orders();
     ASSERT_EQ(audited_.size(), 1u);
     EXPECT_EQ(audited_.front().who, "master");
-    EXPECT_EQ(audited_.front().outcome, "followed");
+    EXPECT_EQ(audited_.front().outcome, "");
+    EXPECT_TRUE(heard_.empty());
+    std::filesystem::remove(followed_file_);
+    feed_.read_orders();
+    ASSERT_EQ(audited_.size(), 2u);
+    EXPECT_EQ(audited_.back().who, "master");
+    EXPECT_EQ(audited_.back().outcome, "followed");
   });
   EXPECT_THAT(heard(), ElementsAre("first 0"));
 }

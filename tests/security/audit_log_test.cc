@@ -91,17 +91,27 @@ TEST_F(AuditLogTest, LinesThatComeWhileTheDiskIsBusyAreBroughtThereTogether) {
   EXPECT_EQ(log_->waiting(), 0u);
 }
 
-TEST_F(AuditLogTest, LinesThatAreGivenTogetherAreBroughtThereTogetherAndRefusalsHaveTheirLimit) {
+TEST_F(AuditLogTest, LinesThatAreGivenTogetherAreBroughtThereTogether) {
   log_.emplace(file(), [&](int) { return ++syncs_ > 0; });
-  std::vector<AuditEntry> entries(100, order("forged"));
-  for (auto& entry : entries) entry.event = AuditEvent::refused;
-  entries.push_back(order("one on g1"));
-  log_->write_all(entries);
-  EXPECT_EQ(syncs_, 1);
-  EXPECT_EQ(lines(), 21u);
-  EXPECT_THAT(text(), HasSubstr("one on g1"));
+  std::vector<AuditLog::Counted> counted(100, {order("one on g1"), 0});
+  counted.push_back({order("two on g1"), 7});
+  log_->write_all(counted);
+  log_->write_begun({order("three on g1"), order("four on g1")});
+  EXPECT_EQ(syncs_, 2);
+  EXPECT_EQ(lines(), 103u);
+  EXPECT_THAT(text(), AllOf(HasSubstr("\"unwritten\":7"), HasSubstr("four on g1"), HasSubstr("\"begun\"")));
   log_->write_all({});
-  EXPECT_EQ(syncs_, 1) << "nothing to write";
+  EXPECT_EQ(syncs_, 2) << "nothing to write";
+}
+
+TEST_F(AuditLogTest, RefusalsThatAreToBeWrittenLaterAreLimitedBeforeTheyWait) {
+  log_.emplace(file(), [&](int) { return ++syncs_ > 0; });
+  std::vector<AuditLog::Counted> waiting;
+  for (int i = 0; i < 5000; ++i) {
+    if (auto line = log_->count_refused(order("forged"))) waiting.push_back(*std::move(line));
+  }
+  EXPECT_LE(waiting.size(), 30u);
+  EXPECT_EQ(syncs_, 0);
 }
 
 TEST_F(AuditLogTest, TheOldFileGetsNothingMoreOnceTheNewOneIsOpen) {
