@@ -36,10 +36,13 @@ namespace {
 /// an absent registry delay the stop.
 constexpr milliseconds registry_timeout{3'000};
 
-/// Gateways of the original system have neither TLS nor tokens, so only this machine may reach this address.
+/// Gateways of the original system have neither TLS nor tokens, so only this machine may reach this address, and only
+/// those of its users who are named here, if not all.
 void read_original_address(config::YamlSection& section, rpc::ListenSettings& address) {
   address.host = section.string_or("host", address.host);
   address.port = static_cast<int>(section.int_or("port", address.port, 1, 65535));
+  address.users = section.strings_or("users", {});
+  address.open = section.bool_or("open", false);
   if (config::is_loopback(address.host)) return;
   section.refuse("host",
                  fmt::format("{} can be reached from other machines, and gateways of the original system speak no "
@@ -121,7 +124,8 @@ class MasterService final : public config::DaemonService {
       original_->start([this] { return master_->status().leading; });
       gateways_ = std::make_unique<rpc::ThriftServer>(
           server_options("gateways", *config_.gateways),
-          serve_original_gateways(*original_, [this] { return master_->status(); }));
+          serve_original_gateways(*original_, [this] { return master_->status(); },
+                                  {.users = config_.gateways->users, .open = config_.gateways->open, .audit = audit_}));
     }
     if (!config_.pages.address.empty())
       metrics_ = std::make_unique<rpc::MetricsEndpoint>(config_.pages, config::process_metrics(),

@@ -20,7 +20,7 @@ struct MasterDaemonConfig {
   discovery::RegistryOptions registry;
   std::string sensors_root;  ///< zk.root
   rpc::ListenSettings api{"127.0.0.1", 12904, {}, "", ""};
-  /// For gateways of the original system, on loopback only: whoever reaches it may register one. nullopt: off.
+  /// For gateways of the original system, on loopback only, without TLS and tokens. nullopt: off.
   std::optional<rpc::ListenSettings> gateways;
   std::string gateway_token_file;  ///< GatewayAccess::token_file
   std::string worker_token_file;   ///< WorkerAccess::token_file

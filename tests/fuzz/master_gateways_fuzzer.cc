@@ -35,11 +35,13 @@ class Originals {
 
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   master::OriginalGateways gateways_{*registry_, never_called()};
-  rpc::ThriftService service_ = master::serve_original_gateways(gateways_, [] {
-    master::MasterStatus status;
-    status.leading = true;
-    return status;
-  });
+  rpc::ThriftService service_ = master::serve_original_gateways(gateways_,
+                                                                [] {
+                                                                  master::MasterStatus status;
+                                                                  status.leading = true;
+                                                                  return status;
+                                                                },
+                                                                {.open = true, .calls = {}});
 };
 
 }  // namespace

@@ -1,5 +1,7 @@
 #include <atomic>
+#include <fstream>
 #include <future>
+#include <iterator>
 #include <mutex>
 #include <optional>
 
@@ -15,8 +17,11 @@
 #include <iotcloud/master/originals/gateway_handler.h>
 #include <iotcloud/master/originals/original_gateways.h>
 #include <iotcloud/rpc/thrift_server.h>
+#include <iotcloud/security/audit_log.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
+#include <iotcloud/tests/rpc/as_nobody.h>
+#include <iotcloud/tests/security/certificates.h>
 #include <iotcloud/tests/servers/free_port.h>
 
 namespace iotcloud::master {
@@ -344,6 +349,35 @@ TEST_F(OriginalGatewayTest, IsTendedByTheMasterThatComesToLeadNext) {
   EXPECT_TRUE(test::eventually([&] { return alive(); }));
   EXPECT_TRUE(next.has("java1"_gateway));
   next.stop();
+}
+
+TEST_F(OriginalGatewayTest, OfAnotherUserOfTheMachineIsRefusedUnlessThatOneIsNamedAndInTheAuditLog) {
+  if (geteuid() != 0) GTEST_SKIP() << "only root can make a socket of another user";
+  const security::test::Folder folder;
+  const auto serve = [&](OriginalAccess access) {
+    for_gateways.reset();  // it has the log
+    access.audit = std::make_shared<security::AuditLog>(folder / "audit");
+    for_gateways.emplace(rpc::ThriftServerOptions{}, serve_original_gateways(
+                                                         *originals, [this] { return (*master)->status(); }, access));
+  };
+  const auto register_as_nobody = [&] {
+    const rpc::test::AsNobody nobody;
+    return register_site(site());
+  };
+  serve({});
+  const auto refused = register_as_nobody();
+  EXPECT_EQ(refused.state, TResponseState::FAILURE);
+  EXPECT_THAT(refused.statusMessage, HasSubstr("users"));
+  EXPECT_FALSE(originals->has("java1"_gateway));
+  serve({.users = {"nobody"}});
+  EXPECT_EQ(register_as_nobody().state, TResponseState::SUCCESS);
+  serve({.open = true});
+  EXPECT_EQ(register_as_nobody().state, TResponseState::SUCCESS);
+  for_gateways.reset();
+  std::ifstream in(folder / "audit");
+  const std::string lines(std::istreambuf_iterator<char>(in), {});
+  EXPECT_THAT(lines, testing::AllOf(HasSubstr("\"refused\":true"), HasSubstr("\"event\":\"begun\""),
+                                    HasSubstr("\"who\":\"user 65534\""), HasSubstr("java1 at 127.0.0.1:")));
 }
 
 TEST_F(OriginalGatewayTest, AStandbyMasterRefusesAndNamesTheLeader) {
