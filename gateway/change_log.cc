@@ -7,6 +7,17 @@
 
 namespace iotcloud::gateway {
 
+std::vector<StateChange> latest_of(std::vector<StateChange> changes, std::size_t most_bytes) {
+  constexpr std::size_t of_each = 64;  // besides its texts
+  std::size_t bytes = 0;
+  const auto too_early = std::find_if(changes.rbegin(), changes.rend(), [&](const StateChange& change) {
+    bytes += change.instance.str().size() + change.driver.str().size() + change.reason.size() + of_each;
+    return bytes > most_bytes;
+  });
+  changes.erase(changes.begin(), too_early.base());
+  return changes;
+}
+
 ChangeLog::ChangeLog(std::size_t most, const std::string& file) : most_(most) {
   if (file.empty()) return;
   file_ = std::make_unique<ChangeFile>(file, most);

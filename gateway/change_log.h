@@ -27,6 +27,10 @@ struct StateChange {
   friend bool operator==(const StateChange&, const StateChange&) = default;
 };
 
+/// The latest of these changes, of which the last one is the latest, that an answer of so many bytes has room for: the
+/// reasons are as long as drivers make them.
+std::vector<StateChange> latest_of(std::vector<StateChange> changes, std::size_t most_bytes);
+
 class ChangeFile;
 
 /// The latest changes of state of all instances of a gateway, undeployed ones included. Thread safe.

@@ -1,4 +1,5 @@
 #include <algorithm>
+#include <cstddef>
 
 #include <fmt/format.h>
 
@@ -144,7 +145,9 @@ void SiteHandler::authenticate(Response& answer, const std::string& token) {
 }
 
 void SiteHandler::getChanges(std::vector<wire::TStateChange>& answer, const std::string& instance) {
-  for (const auto& change : gateway_.changes(InstanceId(instance))) discovery::fill_wire(change, answer.emplace_back());
+  constexpr std::size_t most_bytes = std::size_t{4} << 20;  // masters read no answer without end
+  for (const auto& change : latest_of(gateway_.changes(InstanceId(instance)), most_bytes))
+    discovery::fill_wire(change, answer.emplace_back());
 }
 
 void SiteHandler::readLog(wire::TLogPart& answer, const std::string& text, const std::string& position,

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <thrift/TConfiguration.h>
 #include <thrift/protocol/TBinaryProtocol.h>
+#include <thrift/protocol/TProtocolException.h>
 #include <thrift/transport/TBufferTransports.h>
 #include <thrift/transport/TTransportException.h>
 #include <thrift/transport/TVirtualTransport.h>
@@ -16,17 +17,16 @@ namespace iotcloud::rpc {
 using apache::thrift::TConfiguration;
 using apache::thrift::protocol::TBinaryProtocol;
 using apache::thrift::protocol::TProtocol;
+using apache::thrift::protocol::TProtocolException;
 using apache::thrift::transport::TFramedTransport;
 using apache::thrift::transport::TTransportException;
 using apache::thrift::transport::TVirtualTransport;
 
 namespace {
 
-/// The largest answer.
-constexpr int most_bytes = 64 * 1024 * 1024;
-/// The longest list in an answer: as many records as the largest answer has room for, at 160 bytes each. Thrift makes
-/// room for a list before it reads the first element, so whoever answers may not choose any length.
-constexpr int most_items = 400'000;
+/// The longest list in an answer: as many records as the largest answer has room for, at so many bytes each. Thrift
+/// makes room for a list before it reads the first element, so whoever answers may not choose any length.
+constexpr int bytes_of_item = 160;
 
 TTransportException exception_of(const TcpStreamError& e) {
   switch (e.kind()) {
@@ -46,7 +46,8 @@ TTransportException exception_of(const TcpStreamError& e) {
 class ThriftClient::Transport final : public TVirtualTransport<Transport> {
  public:
   explicit Transport(const ThriftClientOptions& options)
-      : TVirtualTransport(std::make_shared<TConfiguration>(most_bytes, most_bytes)), limit_(options.answer_limit) {
+      : TVirtualTransport(std::make_shared<TConfiguration>(options.most_bytes, options.most_bytes)),
+        limit_(options.answer_limit) {
     if (!options.tls.empty()) tls_.emplace(options.tls, security::TlsContext::Side::client);
     try {
       stream_ = TcpStream::connect(options.host, options.port, tls_ ? &*tls_ : nullptr,
@@ -95,14 +96,23 @@ class ThriftClient::Transport final : public TVirtualTransport<Transport> {
   std::unique_ptr<TcpStream> stream_;
 };
 
-ThriftClient::ThriftClient(const ThriftClientOptions& options) : transport_(std::make_shared<Transport>(options)) {}
+ThriftClient::ThriftClient(const ThriftClientOptions& options)
+    : most_bytes_(options.most_bytes), transport_(std::make_shared<Transport>(options)) {}
 
 ThriftClient::~ThriftClient() = default;
 
 std::shared_ptr<TProtocol> ThriftClient::protocol() const {
   return std::make_shared<TBinaryProtocol>(
-      std::make_shared<TFramedTransport>(transport_, std::make_shared<TConfiguration>(most_bytes, most_bytes)),
-      most_bytes, most_items, false, true);
+      std::make_shared<TFramedTransport>(transport_, std::make_shared<TConfiguration>(most_bytes_, most_bytes_)),
+      most_bytes_, most_bytes_ / bytes_of_item, false, true);
+}
+
+bool ThriftClient::is_too_large(const apache::thrift::TException& error) {
+  if (const auto* of_protocol = dynamic_cast<const TProtocolException*>(&error))
+    return of_protocol->getType() == TProtocolException::SIZE_LIMIT;
+  const auto* of_transport = dynamic_cast<const TTransportException*>(&error);
+  return of_transport != nullptr &&
+         of_transport->getType() == TTransportException::CORRUPTED_DATA;  // of a frame's size
 }
 
 void ThriftClient::set_answer_limit(std::chrono::milliseconds limit) {

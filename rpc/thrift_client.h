@@ -7,6 +7,9 @@
 #include <iotcloud/security/tls.h>
 
 namespace apache::thrift::protocol {
+namespace apache::thrift {
+class TException;
+}
 class TProtocol;
 }
 
@@ -23,6 +26,7 @@ struct ThriftClientOptions {
   std::chrono::milliseconds connect_limit{3'000};  ///< until the connection is open, TLS included
   std::chrono::milliseconds answer_limit{30'000};  ///< from the start of a call to the last byte of its answer
 };
+  int most_bytes = 64 << 20;                       ///< in an answer; a larger one is not read
 
 /// A connection to a Thrift service, framed and binary, for a generated client. Used by one thread.
 class ThriftClient {
@@ -34,11 +38,14 @@ class ThriftClient {
   /// The protocol for a generated client; it may outlive this object.
   std::shared_ptr<apache::thrift::protocol::TProtocol> protocol() const;
   /// Sets the limit of later calls.
+  /// Whether a call failed because its answer is larger than `most_bytes`, or says so.
+  static bool is_too_large(const apache::thrift::TException& error);
   void set_answer_limit(std::chrono::milliseconds limit);
 
  private:
   class Transport;
   std::shared_ptr<Transport> transport_;
+  const int most_bytes_;
 };
 
 }  // namespace iotcloud::rpc

@@ -20,11 +20,15 @@ using gateway::wire::TSensorSiteServiceClient;
 namespace {
 
 constexpr std::chrono::milliseconds connect_limit{2'000};
+/// In an answer of a gateway: about twice as many as those of ours have.
+constexpr int most_answer_bytes = 8 << 20;
+/// The same where it has messages of a channel.
+constexpr int most_look_bytes = most_answer_bytes + 2 * discovery::most_seen_messages * discovery::most_seen_bytes;
 
 /// Makes a client on a new connection. \throws TException, config::Error
 /// \param gateway with TLS: the id that the certificate there must name, before it gets the token; empty: none
 TSensorSiteServiceClient connect(const SiteAddress& site, const discovery::GatewayId& gateway,
-                                 std::chrono::milliseconds limit) {
+                                 std::chrono::milliseconds limit, int most_bytes = most_answer_bytes) {
   rpc::ThriftClientOptions options;
   options.host = site.host;
   options.port = site.port;
@@ -32,6 +36,7 @@ TSensorSiteServiceClient connect(const SiteAddress& site, const discovery::Gatew
   options.gateway = gateway;
   options.answer_limit = std::max(limit, std::chrono::milliseconds{1});
   options.connect_limit = std::min(options.answer_limit, connect_limit);
+  options.most_bytes = most_bytes;
   TSensorSiteServiceClient client(rpc::ThriftClient(options).protocol());
   if (site.token_file.empty() || site.tls.empty()) return client;
   TResponse answer;
@@ -43,10 +48,10 @@ TSensorSiteServiceClient connect(const SiteAddress& site, const discovery::Gatew
 /// Asks the gateway with this id and no other. All errors become config::Error.
 template <typename Question>
 void put(const SiteAddress& site, const discovery::GatewayId& gateway, std::chrono::milliseconds limit,
-         Question&& question) {
+         Question&& question, int most_bytes = most_answer_bytes) {
   bool known = false;  // it has answered a question of ours
   try {
-    auto client = connect(site, gateway, limit);
+    auto client = connect(site, gateway, limit, most_bytes);
     gateway::wire::TPing answer;
     client.ping(answer);
     if (answer.gateway != gateway) {
@@ -68,6 +73,12 @@ void put(const SiteAddress& site, const discovery::GatewayId& gateway, std::chro
                             "plugins, shows no channels and takes no plugin files",
                             gateway));
   } catch (const apache::thrift::TException& e) {
+    if (rpc::ThriftClient::is_too_large(e)) {
+      throw config::Error(
+          fmt::format("gateway {} at {}:{} has an answer of more than {} MB, which is not read: look at "
+                      "what runs there, because gateways give shorter ones",
+                      gateway, site.host, site.port, most_bytes >> 20));
+    }
     throw config::Error(
         fmt::format("gateway {} at {}:{} does not answer: {}", gateway, site.host, site.port, e.what()));
   }
@@ -79,7 +90,8 @@ discovery::ChannelLook ask_of_channel(
     const SiteAddress& site, const discovery::GatewayId& gateway, std::chrono::milliseconds limit,
     void (TSensorSiteServiceClient::*method)(discovery::wire::TChannelLook&, const Asked&), const Asked& asked) {
   discovery::wire::TChannelLook look;
-  put(site, gateway, limit, [&](auto& client) { (client.*method)(look, asked); });
+  put(
+      site, gateway, limit, [&](auto& client) { (client.*method)(look, asked); }, most_look_bytes);
   return discovery::as_own<discovery::ChannelLook>(look);
 }
 

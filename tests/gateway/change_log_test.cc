@@ -39,6 +39,16 @@ TEST(ChangeLog, KeepsTheLatestOfAllAndTellsThemByInstance) {
   EXPECT_THAT(log.of("c"_instance), IsEmpty());
 }
 
+TEST(ChangeLog, TheLatestAreToldOfMoreThanAnAnswerHasRoomFor) {
+  std::vector<StateChange> changes;
+  for (const auto state : {DriverState::starting, DriverState::active, DriverState::failed})
+    changes.push_back({"a"_instance, "d"_driver, state, std::string(1000, 'x'), 0});
+  EXPECT_THAT(states(latest_of(changes, 2500)), ElementsAre(DriverState::active, DriverState::failed));
+  EXPECT_EQ(latest_of(changes, 10'000), changes);
+  EXPECT_THAT(latest_of(changes, 1000), IsEmpty());
+  EXPECT_THAT(latest_of({}, 1000), IsEmpty());
+}
+
 /// A change log in a file, over several runs.
 class ChangesOnDisk : public ::testing::Test {
  protected:
