@@ -288,8 +288,8 @@ std::string TcpStream::peer_certificate() const {
   return tls_ ? security::peer_subject(tls_->ssl) : "";
 }
 
-bool TcpStream::is_peer_gateway(const std::string& id) const {
-  return tls_ && security::is_peer_gateway(tls_->ssl, id);
+bool TcpStream::is_peer(const security::NamedDaemon& daemon) const {
+  return tls_ && security::is_peer(tls_->ssl, daemon);
 }
 
 }  // namespace iotcloud::rpc

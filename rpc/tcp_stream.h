@@ -13,7 +13,8 @@ struct x509_st;  // OpenSSL's X509
 
 namespace iotcloud::security {
 class TlsContext;
-}
+struct NamedDaemon;
+}  // namespace iotcloud::security
 
 namespace iotcloud::rpc {
 
@@ -70,8 +71,8 @@ class TcpStream {
   std::string peer_address() const;  ///< "192.0.2.7:40112"
   /// The subject of the other side's certificate, "CN=operator"; empty if it showed none.
   std::string peer_certificate() const;
-  /// security::is_peer_gateway(); false without TLS.
-  bool is_peer_gateway(const std::string& id) const;
+  /// security::is_peer(); false without TLS.
+  bool is_peer(const security::NamedDaemon& daemon) const;
 
  private:
   struct Tls;

@@ -55,11 +55,14 @@ class ThriftClient::Transport final : public TVirtualTransport<Transport> {
     } catch (const TcpStreamError& e) {
       throw exception_of(e);
     }
-    if (options.tls.empty() || options.gateway.empty() || stream_->is_peer_gateway(options.gateway)) return;
+    if (options.tls.empty() || !options.daemon || stream_->is_peer(*options.daemon)) return;
+    const auto kind = to_string(options.daemon->kind);
+    const auto& id = options.daemon->id;
     throw TTransportException(
         TTransportException::NOT_OPEN,
-        "the certificate there is of " + stream_->peer_certificate() + ", not of gateway " + options.gateway +
-            "; make it one with `iotcloud certs add DIR --host HOST --gateway " + options.gateway + "`");
+        fmt::format("the certificate there is of {}, not of {} {}; make it one with `iotcloud certs add DIR --host "
+                    "HOST --{} {}`",
+                    stream_->peer_certificate(), kind, id, kind, id));
   }
 
   bool isOpen() const override { return stream_ != nullptr; }

@@ -99,22 +99,26 @@ void Authority::make() const {
   config::write_new_file(this->certificate("ca"), pem_of(made), for_readers);
 }
 
-void Authority::certify_host(const std::string& host, const std::vector<std::string>& gateways) const {
-  certify_daemon(host, {host}, gateways);
+void Authority::certify_host(const std::string& host, const NamedIds& named) const {
+  certify_daemon(host, {host}, named);
 }
 
 void Authority::certify_daemon(const std::string& name, const std::vector<std::string>& hosts,
-                               const std::vector<std::string>& gateways) const {
+                               const NamedIds& named) const {
   std::string names;
   for (const auto& host : hosts) {
     check_name(host);
     names += fmt::format("{}:{},", config::is_address(host) ? "IP" : "DNS", host);
   }
   names += "DNS:localhost,IP:127.0.0.1,IP:::1";
-  for (const auto& gateway : gateways) {
-    check_name(gateway);
-    names += ",URI:" + gateway_name(gateway);
-  }
+  const auto add = [&](NamedDaemon::Kind kind, const std::vector<std::string>& ids) {
+    for (const auto& id : ids) {
+      check_name(id);
+      names += ",URI:" + uri_of({kind, id});
+    }
+  };
+  add(NamedDaemon::Kind::gateway, named.gateways);
+  add(NamedDaemon::Kind::pool, named.pools);
   certify(*this, name, "serverAuth,clientAuth", names);
 }
 

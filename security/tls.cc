@@ -76,13 +76,17 @@ std::string peer_subject(const ssl_st* ssl) {
   return certificate ? subject_of(certificate.get()) : "";
 }
 
-bool is_peer_gateway(const ssl_st* ssl, const std::string& id) {
-  const HeldCertificate certificate(SSL_get1_peer_certificate(ssl), X509_free);
-  return certificate && (is_common_name(certificate.get(), id) || has_uri(certificate.get(), gateway_name(id)));
+std::string to_string(NamedDaemon::Kind kind) {
+  return kind == NamedDaemon::Kind::gateway ? "gateway" : "pool";
 }
 
-std::string gateway_name(const std::string& id) {
-  return "urn:iotcloud:gateway:" + id;
+std::string uri_of(const NamedDaemon& daemon) {
+  return "urn:iotcloud:" + to_string(daemon.kind) + ":" + daemon.id;
+}
+
+bool is_peer(const ssl_st* ssl, const NamedDaemon& daemon) {
+  const HeldCertificate certificate(SSL_get1_peer_certificate(ssl), X509_free);
+  return certificate && (is_common_name(certificate.get(), daemon.id) || has_uri(certificate.get(), uri_of(daemon)));
 }
 
 std::string subject_in(const std::string& file) {

@@ -59,11 +59,19 @@ void expect_host(ssl_st* ssl, const std::string& host);
 /// The subject of the other side's certificate, "CN=operator"; empty if it showed none.
 std::string peer_subject(const ssl_st* ssl);
 
-/// Whether the other side's certificate is that of this gateway: its common name is the gateway's id, or it has the
-/// alternative name gateway_name(id). False without a certificate.
-bool is_peer_gateway(const ssl_st* ssl, const std::string& id);
-/// The alternative name (URI) in the certificate of a machine on which a gateway of that id runs.
-std::string gateway_name(const std::string& id);
+/// A daemon that masters show tokens of its own: the certificate there must name it.
+struct NamedDaemon {
+  /// Gateways and pools of workers have ids of their own: a gateway is not the pool that has the same id.
+  enum class Kind { gateway, pool };
+  Kind kind = Kind::gateway;
+  std::string id;
+};
+std::string to_string(NamedDaemon::Kind kind);
+/// The alternative name (URI) in the certificate of a machine on which the daemon runs.
+std::string uri_of(const NamedDaemon& daemon);
+/// Whether the other side's certificate is that of this daemon: its common name is the daemon's id, or it has the
+/// alternative name uri_of(daemon). False without a certificate.
+bool is_peer(const ssl_st* ssl, const NamedDaemon& daemon);
 /// The subject in a file with a certificate, as peer_subject(). \throws Error if there is none.
 std::string subject_in(const std::string& file);
 

@@ -48,6 +48,7 @@ class Certs final : public Verb {
                     : Card{"add", "Make more certificates of an authority",
                            "iotcloud certs add certs --host lab3\n"
                            "  iotcloud certs add certs --host lab3 --daemon lab3-gateway --gateway gateway-3\n"
+                           "  iotcloud certs add certs --host lab3 --daemon lab3-pool --pool pool-3\n"
                            "  iotcloud certs add certs --caller anna",
                            std::nullopt, false}),
         is_new_(is_new) {}
@@ -58,9 +59,15 @@ class Certs final : public Verb {
                        ->delimiter(',')
                        ->type_name("HOST");
     options
-        .add_option("--gateway", gateways_,
+        .add_option("--gateway", named_.gateways,
                     "the gateways on that machine, by their ids: a master sends its token only to a gateway that the "
                     "certificate names. Not needed for one that is named as its machine")
+        ->delimiter(',')
+        ->type_name("ID");
+    options
+        .add_option("--pool", named_.pools,
+                    "the pools of workers on that machine, by their ids, as for gateways: also libraries go only to a "
+                    "pool that the certificate names")
         ->delimiter(',')
         ->type_name("ID");
     if (is_new_) {
@@ -88,16 +95,17 @@ class Certs final : public Verb {
     names.insert(names.end(), callers.begin(), callers.end());
     if (is_new_) names.emplace_back("ca");
     check_free(authority, names);
-    if (!gateways_.empty() && servers.size() != 1)
-      throw config::Error("--gateway names the gateways of one machine: give one --host, and `certs add` the others");
+    if (!(named_.gateways.empty() && named_.pools.empty()) && servers.size() != 1)
+      throw config::Error(
+          "--gateway and --pool name the daemons of one machine: give one --host, and `certs add` the others");
     if (is_new_) {
       authority.make();
       security::make_revocations(authority);
     }
     if (daemon_.empty()) {
-      for (const auto& host : hosts_) authority.certify_host(host, gateways_);
+      for (const auto& host : hosts_) authority.certify_host(host, named_);
     } else {
-      authority.certify_daemon(daemon_, hosts_, gateways_);
+      authority.certify_daemon(daemon_, hosts_, named_);
     }
     for (const auto& caller : callers) authority.certify_caller(caller);
 
@@ -134,8 +142,8 @@ class Certs final : public Verb {
   const bool is_new_;
   std::string folder_;
   std::vector<std::string> hosts_;
-  std::string daemon_;  ///< whose certificate it is, if not that of all daemons on the host
-  std::vector<std::string> gateways_;
+  std::string daemon_;                ///< whose certificate it is, if not that of all daemons on the host
+  security::NamedIds named_;          ///< on the one machine
   std::vector<std::string> callers_;  ///< users, whose certificates are for clients only
 };
 

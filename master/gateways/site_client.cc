@@ -33,7 +33,7 @@ TSensorSiteServiceClient connect(const SiteAddress& site, const discovery::Gatew
   options.host = site.host;
   options.port = site.port;
   options.tls = site.tls;
-  options.gateway = gateway;
+  if (!gateway.empty()) options.daemon = security::NamedDaemon{security::NamedDaemon::Kind::gateway, gateway.str()};
   options.answer_limit = std::max(limit, std::chrono::milliseconds{1});
   options.connect_limit = std::min(options.answer_limit, connect_limit);
   options.most_bytes = most_bytes;

@@ -1,5 +1,6 @@
 #include <algorithm>
 #include <optional>
+#include <set>
 #include <vector>
 
 #include <fmt/format.h>
@@ -13,6 +14,15 @@ namespace iotcloud::master {
 
 using discovery::PoolRecord;
 using discovery::SentLibrary;
+using Steady = std::chrono::steady_clock;
+
+namespace {
+
+bool keeps(const PoolRecord& pool, const SentLibrary& library) {
+  return std::find(pool.files.begin(), pool.files.end(), library.sha256) != pool.files.end();
+}
+
+}  // namespace
 
 LibraryRelay::LibraryRelay(const Master& master, discovery::Registry& registry, Options options)
     : master_(master),
@@ -66,6 +76,7 @@ void LibraryRelay::run(const std::stop_token& stop) {
 
 void LibraryRelay::pass_all(const std::stop_token& stop) {
   const auto pools = discovery::list_pools(registry_, options_.paths);
+  forget_others(pools);
   if (pools.size() < 2) return failed_.clear();
   std::vector<SentLibrary> needed;
   for (const auto& [name, standing] : discovery::list_submissions(registry_, options_.paths)) {
@@ -75,37 +86,64 @@ void LibraryRelay::pass_all(const std::stop_token& stop) {
     const auto& before = standing.submission.previous->libraries;
     needed.insert(needed.end(), before.begin(), before.end());
   }
-  const auto now = std::chrono::steady_clock::now();
+  const auto waits = [](const auto& until_of, const auto& key) {
+    const auto until = until_of.find(key);
+    return until != until_of.end() && Steady::now() < until->second;
+  };
   for (const auto& pool : pools) {
     for (const auto& library : needed) {
       if (stop.stop_requested()) return;
       const Errand errand{pool.id, library.sha256};
-      if (std::find(pool.files.begin(), pool.files.end(), library.sha256) != pool.files.end()) {
+      if (keeps(pool, library)) {
         failed_.erase(errand);
         continue;
       }
-      if (const auto last = failed_.find(errand); last != failed_.end() && now - last->second < options_.retry_pause)
-        continue;
-      failed_[errand] = now;
-      pass(pool, library, pools);
+      if (waits(failed_, errand) || waits(slow_, pool.id)) continue;
+      const auto begin = Steady::now();
+      const bool passed = pass(pool, library, pools, stop);
+      const auto end = Steady::now();
+      failed_[errand] = end + options_.retry_pause;
+      if (!passed && end - begin > options_.retry_pause) slow_[pool.id] = end + (end - begin);
     }
   }
 }
 
 /// Passes a library on from the first pool that has it and answers.
-void LibraryRelay::pass(const PoolRecord& taker, const SentLibrary& library, const std::vector<PoolRecord>& pools) {
-  for (const auto& giver : pools) {
-    if (std::find(giver.files.begin(), giver.files.end(), library.sha256) == giver.files.end()) continue;
+bool LibraryRelay::pass(const PoolRecord& taker, const SentLibrary& library, const std::vector<PoolRecord>& pools,
+                        const std::stop_token& stop) {
+  std::vector<const PoolRecord*> givers;
+  for (const auto& pool : pools) {
+    if (keeps(pool, library)) givers.push_back(&pool);
+  }
+  const auto failed_at = [&](const PoolRecord* giver) {
+    const auto at = unwilling_.find(giver->id);
+    return at == unwilling_.end() ? Steady::time_point::min() : at->second;
+  };
+  std::stable_sort(givers.begin(), givers.end(),
+                   [&](const auto* a, const auto* b) { return failed_at(a) < failed_at(b); });
+  for (const auto* giver : givers) {
+    if (stop.stop_requested()) return false;
     try {
-      pass_library(address_of(giver, options_.access), giver.id, address_of(taker, options_.access), taker.id,
-                   library.file, library.sha256, options_.answer_limit);
-      logger.info("pool {} got the library {} from pool {}", taker.id, library.file, giver.id);
-      return;
+      pass_library(address_of(*giver, options_.access), giver->id, address_of(taker, options_.access), taker.id,
+                   library.file, library.sha256, options_.limits, stop);
+      logger.info("pool {} got the library {} from pool {}", taker.id, library.file, giver->id);
+      return true;
     } catch (const config::Error& error) {
-      logger.warn("the library {} does not get from pool {} to pool {}: {}", library.file, giver.id, taker.id,
+      unwilling_[giver->id] = Steady::now();
+      logger.warn("the library {} does not get from pool {} to pool {}: {}", library.file, giver->id, taker.id,
                   error.what());
     }
   }
+  return false;
+}
+
+/// Forgets what was remembered of pools that are gone.
+void LibraryRelay::forget_others(const std::vector<PoolRecord>& pools) {
+  std::set<discovery::PoolId> there;
+  for (const auto& pool : pools) there.insert(pool.id);
+  std::erase_if(failed_, [&](const auto& one) { return !there.contains(one.first.first); });
+  std::erase_if(slow_, [&](const auto& one) { return !there.contains(one.first); });
+  std::erase_if(unwilling_, [&](const auto& one) { return !there.contains(one.first); });
 }
 
 }  // namespace iotcloud::master

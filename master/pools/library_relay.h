@@ -26,26 +26,32 @@ class LibraryRelay {
   struct Options {
     discovery::Paths paths;
     PoolAccess access;
-    std::chrono::milliseconds answer_limit{10'000};  ///< of a pool
-    std::chrono::milliseconds retry_pause{5'000};    ///< after a library could not be passed on
+    PassLimits limits{};
+    std::chrono::milliseconds retry_pause{5'000};  ///< after a library could not be passed on
   };
   /// \param master, registry outlive this
   LibraryRelay(const Master& master, discovery::Registry& registry, Options options);
   ~LibraryRelay();
 
  private:
-  using Errand = std::pair<discovery::PoolId, std::string>;  ///< the pool that lacks a library, and its SHA-256
   void run(const std::stop_token& stop);
   void pass_all(const std::stop_token& stop);
-  void pass(const discovery::PoolRecord& taker, const discovery::SentLibrary& library,
-            const std::vector<discovery::PoolRecord>& pools);
+  using Errand = std::pair<discovery::PoolId, std::string>;  ///< the pool that lacks a library, and its SHA-256
+  bool pass(const discovery::PoolRecord& taker, const discovery::SentLibrary& library,
+            const std::vector<discovery::PoolRecord>& pools, const std::stop_token& stop);
+  void forget_others(const std::vector<discovery::PoolRecord>& pools);
   void on_pools(const std::optional<std::vector<std::string>>& names);
   void look();
 
   const Master& master_;
   discovery::Registry& registry_;
   const Options options_;
-  std::map<Errand, config::Clock::Instant> failed_;  ///< when it was tried last; used on thread_ only
+  // Used on thread_ only.
+  std::map<Errand, config::Clock::Instant> failed_;  ///< when it is tried again
+  /// Pools that held the thread up, and when they get another library: each leaves as much time to others.
+  std::map<discovery::PoolId, config::Clock::Instant> slow_;
+  /// Pools from which a library did not come, and when that was: others are asked before them.
+  std::map<discovery::PoolId, config::Clock::Instant> unwilling_;
 
   config::Mutex mutex_;
   config::StoppableConditionVariable changed_;

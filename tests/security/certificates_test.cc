@@ -54,15 +54,15 @@ TEST(AuthorityTest, NamesDoNotLeaveTheFolderNorAddToTheCertificate) {
 TEST(AuthorityTest, AGatewaysNameDoesNotAddToTheCertificate) {
   const test::Certificates made;
   for (const char* gateway : {"", "g,DNS:lab9", "a b", "../g"})
-    EXPECT_THROW(made.authority().certify_host("lab2", {gateway}), config::Error) << gateway;
-  EXPECT_NO_THROW(made.authority().certify_host("lab2", {"g1", "g2"}));
+    EXPECT_THROW(made.authority().certify_host("lab2", {.gateways = {gateway}}), config::Error) << gateway;
+  EXPECT_NO_THROW(made.authority().certify_host("lab2", {.gateways = {"g1", "g2"}, .pools = {"p1"}}));
   EXPECT_EQ(subject_in(made.authority().certificate("lab2")), "CN=lab2");
   EXPECT_THROW(subject_in(made.authority().key("lab2")), config::Error);
 }
 
 TEST(AuthorityTest, ADaemonsCertificateHasItsOwnNameAndItsMachinesNames) {
   const test::Certificates made;
-  made.authority().certify_daemon("lab2-gateway", {"lab2", "192.0.2.7"}, {"g1"});
+  made.authority().certify_daemon("lab2-gateway", {"lab2", "192.0.2.7"}, {.gateways = {"g1"}});
   const auto file = made.authority().certificate("lab2-gateway");
   EXPECT_EQ(subject_in(file), "CN=lab2-gateway");
   const auto certificate = openssl::read_certificate(file);

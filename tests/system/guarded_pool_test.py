@@ -24,6 +24,7 @@ class GuardedPool(GuardedCluster):
 
     def make_secrets(self):
         super().make_secrets()
+        self.iotcloud("certs", "add", self.certs, "--host", HOST, "--daemon", "workers", "--pool", "pool-1")
         self.token("pool-1", "pool-tokens", "--role", "master", "--certificate", self.certs / "lab1.pem")  # the master's
         for key in ("orders", "libraries", "somebodys"):
             self.iotcloud("keys", "new", self.out / key)
@@ -36,7 +37,7 @@ class GuardedPool(GuardedCluster):
         port, file = free_port(), self.out / "pool-1.yaml"
         file.write_text(f"""id: pool-1
 registry: "{self.zookeeper}"
-thrift: {{host: 0.0.0.0, port: {port}, advertise: "{HOST}:{port}", {self.guarded(HOST, 'pool-tokens')}}}
+thrift: {{host: 0.0.0.0, port: {port}, advertise: "{HOST}:{port}", {self.guarded('workers', 'pool-tokens')}}}
 orders.trusted_keys: ["{self.out}/orders.pub"]
 libraries.require_signature: true
 libraries.trusted_keys: ["{self.out}/libraries.pub"]

@@ -331,7 +331,7 @@ TEST_F(CliHistory, AGatewayWithTlsIsAskedWithTheMastersCertificateAndToken) {
 TEST_F(CliHistory, AGatewayThatIsNotTheOneThatIsMeantDoesNotSeeTheMastersToken) {
   const security::test::Certificates certificates;
   certificates.authority().certify_host("lab2");
-  certificates.authority().certify_host("shed", {"lab3", "lab1"});
+  certificates.authority().certify_host("shed", {.gateways = {"lab3", "lab1"}});
   const security::test::Folder folder;
   std::ofstream(folder / "lab1.token") << "for lab1 only\n";
   rpc::ThriftServerOptions api;

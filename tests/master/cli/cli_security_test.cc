@@ -300,7 +300,7 @@ TEST_F(CliSecurity, AMasterWithTlsAndTokensAnswersThoseWhoHaveBoth) {
 TEST_F(CliSecurity, ATokenThatAFalseMasterHasCaughtIsOfNoUseWithoutThePersonsCertificate) {
   const security::test::Certificates certificates;
   const auto& authority = certificates.authority();
-  authority.certify_daemon("lab1-gateway", {"lab1", "localhost"}, {"gateway-1"});
+  authority.certify_daemon("lab1-gateway", {"lab1", "localhost"}, {.gateways = {"gateway-1"}});
   MasterDaemonConfig config;
   config.registry.url = "embedded://cli-caught-" + std::to_string(getpid());
   config.sensors_root = "/iot/sensors";
