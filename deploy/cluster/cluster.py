@@ -44,6 +44,19 @@ def own_pages(name):
     return {"pages.tokens": f"{name}.pages.tokens", "health.token": f"{name}.health.token"}
 
 
+def of_workers(name):
+    """What a worker of the registry and the brokers finds; its pages take the token of a master."""
+    return {"ca.pem": "ca.pem", "revoked.pem": "revoked.pem", **ORDER_KEYS, "pages.tokens": "pages.tokens",
+            "registry.users": "registry.users", "registry.password": "workers.registry.password",
+            "rabbitmq.password": "workers.rabbitmq.password", "kafka.password": "workers.kafka.password",
+            "host.pem": f"{name}.pem", "host.key": f"{name}.key"}
+
+
+def certificate_of_workers(pool):
+    """The holder of the certificate that a pool's workers show: the components in them read its key, and not the pool's."""
+    return f"{pool}-workers"
+
+
 # What each service finds in /run/secrets, and whence: a file of the folder `authority`.
 FILES = {
     "registry-tls": host_files("registry-tls"),
@@ -57,11 +70,12 @@ FILES = {
               "registry.password": f"{name}.registry.password", "rabbitmq.password": f"{name}.rabbitmq.password",
               "rabbitmq-reads.password": f"{name}-reads.rabbitmq.password", "kafka.password": f"{name}.kafka.password"}
        for name in GATEWAYS},
+    **{name: {**of_workers(name), "health.token": f"{name}.pages.token"} for name in WORKERS},
+    # A pool's workers reach the folder `workers` only.
     **{name: {**host_files(name), **ORDER_KEYS, "pages.tokens": "pages.tokens", "health.token": f"{name}.pages.token",
-              "registry.users": "registry.users", "registry.password": "workers.registry.password",
-              "rabbitmq.password": "workers.rabbitmq.password", "kafka.password": "workers.kafka.password",
-              **({"tokens": f"{name}.tokens", "plugins.pub": "plugins.pub"} if name in POOLS else {})}
-       for name in WORKERS + POOLS},
+              "registry.users": "registry.users", "registry.password": "workers.registry.password", "tokens": f"{name}.tokens",
+              "plugins.pub": "plugins.pub",
+              **{f"workers/{file}": source for file, source in of_workers(certificate_of_workers(name)).items()}} for name in POOLS},
     "supervisor": {"ca.pem": "ca.pem", "registry.users": "registry.users", "registry.password": "workers.registry.password",
                    "rabbitmq.password": "workers.rabbitmq.password"},
     "prometheus": {"ca.pem": "ca.pem", "host.pem": "prometheus.pem", "host.key": "prometheus.key",
@@ -266,7 +280,10 @@ def distribute(folder):
     sees in the folder that it has mounted."""
     for service, files in FILES.items():
         own = folder / service
-        own.mkdir(mode=0o700, exist_ok=True)
+        for inner in sorted({own, *((own / target).parent for target in files)}):
+            inner.mkdir(mode=0o700, exist_ok=True)
+            if os.getuid() == 0:
+                os.chown(inner, user_id(), user_id())
         for target, source in files.items():
             given, fresh = folder / "authority" / source, own / (target + ".new")
             if (own / target).exists() and (own / target).read_bytes() == given.read_bytes():
@@ -279,8 +296,6 @@ def distribute(folder):
             fresh.replace(own / target)
         if service in READ_BY_A_USER_OF_THE_IMAGE:
             own.chmod(0o755)
-        if os.getuid() == 0:
-            os.chown(own, user_id(), user_id())
 
 
 def make_secrets(docker):
@@ -308,6 +323,8 @@ def make_secrets(docker):
         return done.stdout.strip()
 
     iotcloud("certs", "init", "/secrets", "--host", ",".join([*MASTERS, *GATEWAYS, *WORKERS, *POOLS, "registry-tls", "rabbitmq", "prometheus"]))
+    for pool in POOLS:
+        iotcloud("certs", "add", "/secrets", "--host", pool, "--daemon", certificate_of_workers(pool))
     write_secret(fresh, "admin.token",  # a person's, of no use to whoever catches it in a master's place
                  iotcloud("token", "add", "admin", "--role", "admin", "--certificate", "/secrets/operator.pem",
                           "--file", "/secrets/masters.tokens"))
@@ -479,7 +496,8 @@ def certs(given):
     docker = Docker()
     if not SECRETS.exists():
         raise Refused("there are no certificates: ./dev cluster up")
-    done = run(docker.once("secrets", "certs", given.verb, "/secrets", *given.words))
+    of_workers_too = [certificate_of_workers(holder) for holder in given.words if holder in POOLS]
+    done = run(docker.once("secrets", "certs", given.verb, "/secrets", *given.words, *of_workers_too))
     if done.returncode:
         raise Refused(f"iotcloud certs {given.verb} failed with status {done.returncode}")
     gone = [holder for holder in given.words if holder in GATEWAYS] if given.verb == "revoke" else []

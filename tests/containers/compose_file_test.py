@@ -248,6 +248,9 @@ def check_renewal():
             (folder / "authority" / name).chmod(0o600)
         cluster.distribute(folder)
         mounted = folder / "gateway-1"
+        pool = {str(file.relative_to(folder / "pool-1")) for file in (folder / "pool-1").rglob("*") if file.is_file()}
+        if pool != set(cluster.FILES["pool-1"]) or (folder / "pool-1/workers").stat().st_mode & 0o777 != 0o700:
+            sys.exit(f"pool-1 has {pool}")
         before = {file.name: file.stat().st_ino for file in mounted.iterdir()}
         if set(before) != set(cluster.FILES["gateway-1"]) or mounted.stat().st_mode & 0o777 != 0o700:
             sys.exit(f"gateway-1 has {before}")

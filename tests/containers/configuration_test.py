@@ -5,6 +5,7 @@ every topology that is to be submitted there.
 usage: configuration_test.py BIN_DIR
 """
 
+import re
 import subprocess
 import sys
 import tempfile
@@ -29,29 +30,61 @@ def run(*command):
 
 def secrets_named(text, services):
     """The files of /run/secrets that a configuration names; {gateway} stands for each gateway, {pool} for each pool."""
-    for word in {word.strip(",}\"]") for word in text.split() if word.startswith("/run/secrets/")}:
+    for word in set(re.findall(r"/run/secrets/(?:\{\w+\}|[^\s,}\]\"])+", text)):
         kind = next((kind for kind in ("gateway", "pool") if f"{{{kind}}}" in word), None)
         yield from {word.replace(f"{{{kind}}}", name) for name in services if name.startswith(f"{kind}-")} if kind else [word]
 
 
-def check_submitted(programs, work, secrets, services):
-    """The topologies name secrets that their workers' containers have."""
-    files = sorted(CONFIGURATIONS.glob("submitted/*.yaml"))
-    for original in files:
-        service = "supervisor" if original.stem.endswith("-on-storm") else "pool-1"
+def is_given(secret, service):
+    """Whether a service has this file, or files in this folder."""
+    name = secret.removeprefix("/run/secrets/")
+    return any(given == name or given.startswith(f"{name}/") for given in cluster.FILES[service])
+
+
+def is_for_storm(topology):
+    return topology.stem.endswith("-on-storm")
+
+
+def check_what_workers_reach(submitted):
+    """A worker of a pool reaches what the topologies name that are there to be submitted, and nothing that is its pool's alone:
+    whoever has a component in it would be the pool for masters, and for what pools of other machines ask."""
+    for pool in cluster.POOLS:
+        configuration = yaml.safe_load((CONFIGURATIONS / f"{pool}.yaml").read_text(encoding="utf-8"))
+        folders = configuration["worker_files"]["read"]
+
+        def reached(secret):
+            return any(secret == folder or secret.startswith(f"{folder}/") for folder in folders)
+
+        for own in ("host.key", "tokens", "health.token"):
+            if reached(f"/run/secrets/{own}"):
+                sys.exit(f"{pool}.yaml: its workers read {own}")
+        sources = {source for name, source in cluster.FILES[pool].items() if reached(f"/run/secrets/{name}")}
+        if f"{pool}.key" in sources:
+            sys.exit(f"{pool}.yaml: its workers read its key")
+        for file in submitted:
+            for secret in secrets_named(file.read_text(encoding="utf-8"), []):
+                if not is_for_storm(file) and not reached(secret):
+                    sys.exit(f"{file.name} names {secret}, which the workers of {pool} do not reach")
+
+
+def check_submitted(programs, work, secrets, submitted):
+    """The topologies are good, and name secrets that their workers' containers have."""
+    for original in submitted:
+        service = "supervisor" if is_for_storm(original) else cluster.POOLS[0]
         text = original.read_text(encoding="utf-8")
-        for secret in secrets_named(text, services):
-            if Path(secret).name not in cluster.FILES[service]:
+        for secret in secrets_named(text, []):
+            if not is_given(secret, service):
                 sys.exit(f"{original.name} names {secret}, which docker-compose.yml does not give to {service}")
         file = work / original.name
         file.write_text(text.replace("/run/secrets", str(secrets / service)), encoding="utf-8")
         done = run(programs / "iotcloud-topology", "--check", file)
         if done.returncode:
             sys.exit(f"{original.name}: {done.stderr or done.stdout}")
-    return len(files)
 
 
 def main():
+    submitted = sorted(CONFIGURATIONS.glob("submitted/*.yaml"))
+    check_what_workers_reach(submitted)
     programs = Path(sys.argv[1]).resolve()
     services = yaml.safe_load((ROOT / "docker-compose.yml").read_text(encoding="utf-8"))["services"]
     commands = [service["command"][1:] for service in services.values()
@@ -81,10 +114,10 @@ def main():
                 sys.exit(f"{' '.join(command)} --check-config takes nonsense")
             # The compose file defines where services and secrets are.
             for secret in secrets_named(original, services):
-                if Path(secret).name not in cluster.FILES[folder]:
+                if not is_given(secret, folder):
                     sys.exit(f"{name} names {secret}, which docker-compose.yml does not give to its service")
-        submitted = check_submitted(programs, Path(work), secrets, services)
-    print(f"{len(used)} configurations and {submitted} topologies are good")
+        check_submitted(programs, Path(work), secrets, submitted)
+    print(f"{len(used)} configurations and {len(submitted)} topologies are good")
 
 
 if __name__ == "__main__":

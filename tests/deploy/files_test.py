@@ -20,13 +20,15 @@ from booted import BootedCluster, require_means, status_of, with_own_programs
 from private_cluster import free_port, require, wait_for
 
 DAEMONS = {"iotcloud-master.service": "iotcloud-master", "iotcloud-gateway.service": "iotcloud-gateway",
-           "iotcloud-topology@echo.service": "iotcloud-topology", "iotcloud-registry-tunnel.service": "iotcloud-tunnel"}
+           "iotcloud-topology@echo.service": "iotcloud-topology", "iotcloud-pool.service": "iotcloud-topology", "iotcloud-registry-tunnel.service": "iotcloud-tunnel"}
 # Who reads each secret file, of all the users.
 READERS = {"master.key": {"iotcloud-master"}, "master-tokens": {"iotcloud-master"}, "master.password": {"iotcloud-master"},
            "worker-pages.token": {"iotcloud-master"}, "gateways/gateway-1.token": {"iotcloud-master"},
            "gateway-tokens": {"iotcloud-gateway"}, "gateway.password": {"iotcloud-gateway"},
            "broker.password": {"iotcloud-gateway", "iotcloud-host"}, "broker-reads.password": {"iotcloud-gateway", "iotcloud-host"},
            "worker.password": {"iotcloud-topology"}, "worker-broker.password": {"iotcloud-topology"},
+           "pools/pool-1.token": {"iotcloud-master"}, "lab1-pool.key": {"iotcloud-topology"}, "pool-tokens": {"iotcloud-topology"},
+           **{f"workers/{name}": {"iotcloud-topology"} for name in ("host.key", "worker.password", "worker-broker.password")},
            "page-tokens": set(DAEMONS.values()), **{f"lab1-{user.removeprefix('iotcloud-')}.key": {user} for user in DAEMONS.values()}}
 USERS = [*DAEMONS.values(), "iotcloud-host", "iotcloud-worker"]
 HOST_UNITS = ["iotcloud-host.socket", "iotcloud-host@.service"]
@@ -55,6 +57,7 @@ class Machine(BootedCluster):
                 "master.yaml": {**registry, "12904": self.api_port, "9112": free_port()},
                 "gateway.yaml": {**registry, **nobody, "12905": free_port(), "9405": free_port(), fleet.PLUGINS: "/opt/iotcloud"},
                 "topologies/echo.yaml": {**registry, **nobody, "9406": free_port()},
+                "pool.yaml": {**registry, "12906": free_port(), "9407": free_port()},
                 "registry-tunnel.conf": {"127.0.0.1:2181": f"127.0.0.1:{self.tunnel_port}", "zk1:2281": f"zk1:{self.registry_port}"}}.items():
             file = self.etc / name
             file.write_text(fleet.replaced(file.read_text(), places))
@@ -130,6 +133,17 @@ def check_work(machine):
     require(worker["tls"] and worker["http"].startswith("lab1:"), worker)
 
 
+def check_pool(machine, deploy):
+    """A topology whose files are those that workers reach runs in the pool, to which the master shows the pool's own token."""
+    wait_for("the pool is there", lambda: [pool["pool"] for pool in machine.json("topology", "pools")] == ["pool-1"])
+    text = fleet.submitted((deploy / "fleet/topology.yaml").read_text(), f"{ETC}/workers")
+    file = machine.out / "submitted.yaml"
+    file.write_text(fleet.replaced(text, {"topology.name: echo": "topology.name: submitted", "broker-1:5671": "broker-1:1",
+                                          "127.0.0.1:2181": f"127.0.0.1:{machine.tunnel_port}"}))
+    machine.cli("topology", "submit", file)
+    require("runs as worker" in machine.cli("topology", "logs", "submitted"), "the pool shows no log of its worker")
+
+
 def check_users(machine):
     for unit, user in DAEMONS.items():
         process = machine.main_process(unit)
@@ -186,8 +200,9 @@ def check_stolen(machine, here, at_broker, on_lab1):
     machine.other_end.wait()
     machine.start_other_end()
     for file in ("revoked.pem", "registry.users"):
-        copied = machine.inside("cp", machine.etc / file, f"{ETC}/{file}")
-        require(copied.returncode == 0, copied.stderr)
+        for folder in (ETC, f"{ETC}/workers"):
+            copied = machine.inside("cp", machine.etc / file, f"{folder}/{file}")
+            require(copied.returncode == 0, copied.stderr)
     require(not open_tunnel.recv(100), "the thief's connection to the registry is open")
     wait_for("those who may are at the registry again", lambda: machine.run_cli("gateways").returncode == 0)
     require(not machine.reaches_registry(), "the thief is at the registry again")
@@ -228,6 +243,7 @@ def main():
                      f"cp -r --preserve=mode {machine.etc} {ETC}\n{NAMES}\n({give})")
         wait_for("the master answers", lambda: machine.json("gateways"))
         check_work(machine)
+        check_pool(machine, deploy)
         check_users(machine)
         check_renewal(machine, bring)
         check_stolen(machine, *stolen)

@@ -41,6 +41,12 @@ def make(deploy, programs, plugin, folder):
     run(script, programs, folder)
 
 
+def submitted(topology, workers):
+    """The page's topology as one to submit: with the files of the folder for workers, and any port."""
+    text = re.sub(r"/etc/iotcloud/(lab1-topology\.)?", lambda found: f"{workers}/{'host.' if found[1] else ''}", topology)
+    return replaced(text, {"0.0.0.0:9406": "0.0.0.0:0"})
+
+
 def run(script, programs, folder):
     """Runs commands of the page in `folder`."""
     own = folder / "bin"

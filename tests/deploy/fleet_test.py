@@ -21,11 +21,13 @@ import cluster  # noqa: E402  (its folder is known now)
 # What no daemon of the fleet may lack: keys, with those of the mappings in which they stand before them.
 ALL = ["registry.user", "registry.password_file", "registry.users", "metrics/tls/revoked", "metrics/tokens"]
 KEYS = {"master": [*ALL, "orders/signing_key", "orders/trusted_keys", "api/tls/revoked", "api/tokens",
-                   "api/gateway_token_file", "api/worker_token_file", "audit/file"],
+                   "api/gateway_token_file", "api/worker_token_file", "api/pool_token_file", "audit/file"],
         "gateway": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "host_user", "host_starter", "host_files/write",
                     "plugins.require_signature", "plugins.require_version", "plugins.trusted_keys", "brokers/rabbitmq/password_file",
                     "brokers/rabbitmq/tls/ca", "brokers/rabbitmq/properties/exchange", "brokers/rabbitmq/properties/reader",
                     "audit/file"],
+        "pool": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "worker_files/read", "libraries.require_signature",
+                 "libraries.require_version", "libraries.trusted_keys", "audit/file"],
         "topology": [*ALL, "orders.trusted_keys", "brokers/rabbitmq/password_file", "brokers/rabbitmq/tls/ca"]}
 
 
@@ -38,7 +40,9 @@ def has(configuration, path):
 
 
 def check(daemon, file):
-    return subprocess.run([daemon, "--config", file, "--check-config"], capture_output=True, text=True, timeout=60, check=False)
+    """`daemon`: a program, or a list of it and its first words."""
+    words = [*(daemon if isinstance(daemon, list) else [daemon]), "--config", file, "--check-config"]
+    return subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
 
 
 def certificates(configuration):
@@ -72,7 +76,7 @@ def rights(told):
 
 def check_tokens(folder):
     """Each token counts with one certificate: whoever catches it has no use of it."""
-    for file in ("master-tokens", "gateway-tokens", "page-tokens"):
+    for file in ("master-tokens", "gateway-tokens", "pool-tokens", "page-tokens"):
         for line in (folder / "etc" / file).read_text(encoding="utf-8").splitlines():
             if line and not line.startswith("#") and "CN=" not in line:
                 sys.exit(f"{file} has a token that counts with any certificate: {line.split()[0]}")
@@ -102,6 +106,22 @@ def check_further_machine(build, folder):
         sys.exit(f"lab2's gateway.yaml: {done.stderr or done.stdout}")
 
 
+def check_submitted(deploy, build, folder):
+    """The page's folder for workers has all that a topology names, and nothing that is the pool's: components read it."""
+    of_pool = yaml.safe_load((deploy / "fleet/pool.yaml").read_text(encoding="utf-8"))
+    if of_pool["worker_files"]["read"] != ["/etc/iotcloud/workers"]:
+        sys.exit(f"workers of the pool read {of_pool['worker_files']['read']}")
+    keys = {file.read_bytes() for file in (folder / "etc/workers").glob("*.key")}
+    if keys & {(folder / "etc" / name).read_bytes() for name in ("lab1-pool.key", "lab1-topology.key", "lab1-master.key")}:
+        sys.exit("the folder for workers has the key of a daemon")
+    file = folder / "submitted.yaml"
+    file.write_text(fleet.submitted((deploy / "fleet/topology.yaml").read_text(encoding="utf-8"), folder / "etc/workers"),
+                    encoding="utf-8")
+    done = check(build / "bin/iotcloud-topology", file)
+    if done.returncode:
+        sys.exit(f"a topology with the files of the folder for workers: {done.stderr or done.stdout}")
+
+
 def main():
     deploy, build = (pathlib.Path(word).resolve() for word in sys.argv[1:])
     with tempfile.TemporaryDirectory() as work:
@@ -111,6 +131,7 @@ def main():
         check_tokens(folder)
         check_brokers_users(folder)
         check_further_machine(build, folder)
+        check_submitted(deploy, build, folder)
         for name, keys in KEYS.items():
             made = folder / "etc" / ("topologies/echo.yaml" if name == "topology" else f"{name}.yaml")
             text = made.read_text(encoding="utf-8")
@@ -122,7 +143,7 @@ def main():
             if name == "gateway":
                 paths |= {fleet.PLUGINS: folder / "plugins", "host_user: iotcloud-host": "host_user: nobody"}  # a user of this machine
             made.write_text(fleet.replaced(text, paths), encoding="utf-8")
-            daemon = build / f"bin/iotcloud-{name}"
+            daemon = [build / "bin/iotcloud-topology", "--pool"] if name == "pool" else build / f"bin/iotcloud-{name}"
             done = check(daemon, made)
             if done.returncode:
                 sys.exit(f"{name}.yaml: {done.stderr or done.stdout}")
