@@ -1,6 +1,7 @@
 #include <algorithm>
 #include <cstdio>
 #include <exception>
+#include <fstream>
 #include <map>
 #include <string>
 #include <vector>
@@ -10,7 +11,7 @@
 #include <signal.h>
 
 #include <iotcloud/config/error.h>
-#include <iotcloud/rpc/http/metrics_endpoint.h>
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/topology/local/local_cluster.h>
 
 namespace {
@@ -48,6 +49,19 @@ std::vector<iotcloud::discovery::GatewayId> gateways_of(const std::vector<Robot>
   return gateways;
 }
 
+/// Writes how long the bolts' tasks took so far, a line for each: component, p50 and p99 of execute() in ms.
+/// \throws config::Error.
+void write_times(const std::string& file) {
+  std::ofstream out(file);
+  for (const auto& sample : iotcloud::config::process_metrics().collect()) {
+    if (sample.name != "iotcloud_task_execute_seconds" || sample.histogram.count == 0) continue;
+    out << sample.labels.at("component") << '\t' << sample.histogram.p50_ns / 1e6 << '\t'
+        << sample.histogram.p99_ns / 1e6 << '\n';
+  }
+  out.close();
+  if (!out) throw iotcloud::config::Error("--times " + file + ": it cannot be written; is its folder there?");
+}
+
 }  // namespace
 
 /// Runs the whole application in one process until SIGTERM or SIGINT; `./dev demo` starts and measures it.
@@ -60,13 +74,13 @@ int main(int argc, char** argv) {
   signal(SIGPIPE, SIG_IGN);
 
   CLI::App app{"The TurtleBot follower with gateway, master and topology in one process.", "turtlebot-demo"};
-  std::string broker_url, plugins, topology, metrics_address;
+  std::string broker_url, plugins, topology, times;
   std::vector<std::vector<std::string>> robots;
   app.add_option("--plugins", plugins, "folder of turtle.so and turtlebot_follower.so")->required();
   app.add_option("--topology", topology, "the topology's YAML")->required();
   app.add_option("--broker-url", broker_url,
                  "amqp://, kafka:// or activemq://... of a server (default: the embedded broker)");
-  app.add_option("--metrics", metrics_address, "host:port to serve metrics at");
+  app.add_option("--times", times, "file that gets p50 and p99 of each bolt in ms, at the end");
   app.add_option("--robot", robots,
                  "GATEWAY [key=value ...]: a turtle there, with these properties; once for each robot (default: one)");
   CLI11_PARSE(app, argc, argv);
@@ -75,11 +89,6 @@ int main(int argc, char** argv) {
     if (robots.empty()) robots = {{"gateway-1"}};
     std::vector<Robot> fleet;
     for (const auto& words : robots) fleet.push_back(parse_robot(words));
-    std::unique_ptr<iotcloud::rpc::MetricsEndpoint> metrics;
-    if (!metrics_address.empty()) {
-      metrics = std::make_unique<iotcloud::rpc::MetricsEndpoint>(iotcloud::rpc::PageSettings{metrics_address, {}, ""},
-                                                                 iotcloud::config::process_metrics());
-    }
     iotcloud::local::LocalOptions options;
     options.name = "demo";
     options.brokers = {{"rabbitmq", broker_url}};
@@ -94,6 +103,7 @@ int main(int argc, char** argv) {
 
     int received = 0;
     sigwait(&stop_signals, &received);
+    if (!times.empty()) write_times(times);
     for (const auto& instance : instances) cluster.undeploy(instance);
     return cluster.stop(std::chrono::seconds(5)) ? 0 : 1;
   } catch (const std::exception& e) {

@@ -39,25 +39,38 @@ class Robot:
         return [f"{key}={value}" for key, value in self.properties.items()]
 
 
-def bolt_times(metrics_address):
-    """p50 and p99 of each bolt's execute in ms, from the worker's metrics; of several tasks the slowest counts."""
+def slowest_tasks(times):
+    """p50 and p99 of each bolt's execute in ms; of several tasks the slowest counts. `times`: (bolt, "p50" or "p99", ms)."""
+    bolts = {}
+    for bolt, key, value in times:
+        slowest = bolts.setdefault(bolt, {"p50": 0, "p99": 0})
+        slowest[key] = max(slowest[key], round(value, 4))
+    return bolts
+
+
+def times_on_page(metrics_address):
+    """The times of a worker's tasks, from its metrics."""
     text = urllib.request.urlopen(f"http://{metrics_address}/metrics", timeout=60).read().decode()
-    times = {}
     for labels, value in re.findall(r"^iotcloud_task_execute_seconds\{([^}]*)\} (\S+)$", text, re.M):
         fields = dict(re.findall(r'(\w+)="([^"]*)"', labels))
         key = {"0.5": "p50", "0.99": "p99"}.get(fields.get("quantile"))
         if key and float(value) == float(value):  # NaN: no measurement
-            slowest = times.setdefault(fields["component"], {"p50": 0, "p99": 0})
-            slowest[key] = max(slowest[key], round(float(value) * 1000, 4))
-    return times
+            yield fields["component"], key, float(value) * 1000
+
+
+def times_in_file(file):
+    """The same, from the file that turtlebot-demo writes at its end: a line for each task."""
+    for line in file.read_text().splitlines():
+        bolt, p50, p99 = line.split("\t")
+        yield bolt, "p50", float(p50)
+        yield bolt, "p99", float(p99)
 
 
 class Measurement:
-    """CPU time of all processes of this demo, and the bolts' times, between begin and end.
-    `metrics_address`: of our worker, None: there is none."""
+    """CPU time of all processes of this demo, between begin and end."""
 
-    def __init__(self, out, metrics_address):
-        self.marker, self.metrics_address = str(out), metrics_address
+    def __init__(self, out):
+        self.marker = str(out)
         self.begin, self.time = cpu_seconds(self.marker), time.monotonic()
 
     def finish(self, broker):
@@ -70,8 +83,7 @@ class Measurement:
                 cores[name] = cores.get(name, 0) + (seconds - before) / elapsed
         cores = {name: round(value, 3) for name, value in sorted(cores.items())}
         cores["total"] = round(sum(cores.values()), 3)
-        times = bolt_times(self.metrics_address) if self.metrics_address else {}
-        return {"broker": broker, "cpu_cores": cores, "bolts_ms": times}
+        return {"broker": broker, "cpu_cores": cores}
 
 
 class OneProcess(Children):
@@ -83,18 +95,21 @@ class OneProcess(Children):
 
     def begin(self, robots):
         url = [] if self.broker == "embedded" else [f"--broker-url={self.server(self.broker)}"]
-        metrics = f"127.0.0.1:{free_port()}"
+        self.times = self.out / "times.tsv"
+        self.times.unlink(missing_ok=True)  # of an earlier run
         self.spawn("turtlebot-demo", [
             self.build / "bin/turtlebot-demo", *url, "--plugins", self.build / "plugins",
-            "--topology", HERE / "follower.yaml", "--metrics", metrics,
+            "--topology", HERE / "follower.yaml", "--times", self.times,
             *(word for robot in robots for word in ["--robot", robot.gateway, *robot.words()])])
-        self.measurement = Measurement(self.out, metrics)
+        self.measurement = Measurement(self.out)
 
     def finish(self):
         self.require_alive()
         measured = self.measurement.finish(self.broker)
         self.stop()
-        return measured
+        if not self.times.exists():
+            raise StartError(f"turtlebot-demo did not write {self.times}; see {self.log('turtlebot-demo')}")
+        return measured | {"bolts_ms": slowest_tasks(times_in_file(self.times))}
 
 
 class Cluster(PrivateCluster):
@@ -111,12 +126,12 @@ class Cluster(PrivateCluster):
         topology = re.sub(r"(?m)^zk\.servers:.*$", 'zk.servers: ["{zookeeper}"]', topology)
         topology = re.sub(r"(?m)^topology\.library:.*$",
                           f'topology.library: "{self.plugins / "turtlebot_follower.so"}"', topology)
-        metrics = self.run_topology(topology)
+        self.metrics = self.run_topology(topology)
         self.wait_until_ready()
         print("deploying the turtle driver ...", flush=True)
         for robot in robots:
             self.deploy("turtle.so", robot.gateway, robot.properties)
-        self.measurement = Measurement(self.out, metrics)
+        self.measurement = Measurement(self.out)
 
     def run_topology(self, topology):
         """Returns the address of the worker's metrics; None: it has none."""
@@ -128,6 +143,8 @@ class Cluster(PrivateCluster):
     def finish(self):
         self.require_alive()
         measured = self.measurement.finish(self.broker)
+        times = times_on_page(self.metrics) if self.metrics else ()
+        measured["bolts_ms"] = slowest_tasks(times)
         self.undeploy_all()
         self.stop()
         return measured

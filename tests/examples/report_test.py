@@ -1,13 +1,15 @@
 #!/usr/bin/python3
-"""Tests the demo's report on its robots' traces."""
+"""Tests the demo's report on its robots' traces, and on its bolts' times."""
 
 import argparse
 import sys
+import tempfile
 import unittest
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples/turtlebot_follower"))
 
+import modes  # noqa: E402
 import report  # noqa: E402
 
 PERIOD_S = 0.1
@@ -43,6 +45,15 @@ class ReportTest(unittest.TestCase):
 
     def test_so_do_all_but_the_last_of_those_at_the_end(self):
         self.assertFalse(report_of(trace(), trace(unanswered=[48, 49]))["followed"])
+
+
+class TimesTest(unittest.TestCase):
+    def test_of_several_tasks_of_a_bolt_the_slowest_counts(self):
+        with tempfile.NamedTemporaryFile("w", suffix=".tsv") as file:
+            file.write("follow\t0.5\t2\nfollow\t0.75\t1.5\ndecode\t1\t1.25\n")
+            file.flush()
+            times = modes.slowest_tasks(modes.times_in_file(Path(file.name)))
+        self.assertEqual(times, {"follow": {"p50": 0.75, "p99": 2.0}, "decode": {"p50": 1.0, "p99": 1.25}})
 
 
 if __name__ == "__main__":
