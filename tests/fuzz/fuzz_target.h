@@ -12,7 +12,7 @@
 //   IOTCLOUD_FUZZ_TARGET(envelope, 50'000) { ... }
 // In the preset `fuzz` it is the one target of a libFuzzer program. Otherwise it is in the table of
 // hostile_input_test.cc, which runs the target on its seeds and on `mutations` mutations of them, as many as take a
-// second or two under asan.
+// second or two under the sanitizer.
 #ifdef IOTCLOUD_LIBFUZZER
 #define IOTCLOUD_FUZZ_TARGET(name, mutations)                                         \
   static void fuzz_##name(const std::uint8_t* data, std::size_t size);                \

@@ -62,8 +62,12 @@ HEAVY_HEADERS = {
                           "tests/master/cli/cli_fixture.h"),
     "thrift/": ("tests/fuzz/thrift_frames.h", "tests/rpc/service.h"),
 }
+# Targets that compile for long, and what does without them: what newcomers compile first, and the fuzz targets of decoders, for which
+# asan would compile them and nothing else (tests/fuzz/CMakeLists.txt).
+LONG = ("rpc_http", "driver_host", "gateway", "master", "master_server", "topology_endpoints")
+WITHOUT = {"turtlebot-demo": ("rpc_http", "rpc", "gateway_daemon")}
 INCLUDE = re.compile(r'^\s*#\s*include\s*([<"])([^>"]+)[>"]')
-TARGET = re.compile(r"^[ \t]*iotcloud_(room|program|plugin|thrift)\(([^()]*)\)", re.MULTILINE)
+TARGET = re.compile(r"^[ \t]*iotcloud_(room|program|plugin|thrift|fuzzer)\(([^()]*)\)", re.MULTILINE)
 
 
 def room_violation(file, target_room):
@@ -182,12 +186,33 @@ def targets_of(root, file):
                 name = word
             elif keyword == "USES" or word.startswith("iotcloud_"):
                 used.append(word.removeprefix("iotcloud_"))
-        yield text[: call.start()].count("\n") + 1, call.group(1), name, used
+        kind = "threaded fuzzer" if re.search(r"\bTHREADED\b", call.group(2)) else call.group(1)
+        yield text[: call.start()].count("\n") + 1, kind, name, used
+
+
+def way_to(name, wanted, uses):
+    """The targets by which `name` comes to use `wanted`; None when it does not."""
+    if name == wanted:
+        return [name]
+    ways = (way_to(used, wanted, uses) for used in uses.get(name, ()))
+    return next(([name, *way] for way in ways if way), None)
+
+
+def check_long(targets):
+    """What compiles for long is used only by what cannot do without."""
+    uses = {name: used for _, _, kind, name, used in targets if not kind.endswith("fuzzer")}
+    for file, line, kind, name, used in targets:
+        without = LONG if kind == "fuzzer" else WITHOUT.get(name, ()) if kind == "program" else ()
+        for target in without:
+            way = next(filter(None, (way_to(by, target, uses) for by in used)), None)
+            if way:
+                yield f"{file}:{line}: {name} uses {' -> '.join(way)}, which takes long to compile (LONG in {Path(__file__).name})"
 
 
 def check_targets(root, files):
     targets = [(file, *target) for file in files for target in targets_of(root, file)]
-    places = {name: (file, kind) for file, _, kind, name, _ in targets if kind != "program"}
+    yield from check_long(targets)
+    places = {name: (file, kind) for file, _, kind, name, _ in targets if kind != "program" and not kind.endswith("fuzzer")}
     for file, line, _, name, uses in targets:
         room = file.split("/")[0]
         for used in uses:

@@ -97,6 +97,19 @@ class CheckIncludes(unittest.TestCase):
             line = added[room].count("\n")
             self.assertTrue(problems[0].startswith(f"{room}/CMakeLists.txt:{line}: extra uses {used}"), problems)
 
+    def test_what_takes_long_to_compile_is_kept_from_the_demo_and_from_what_asan_alone_would_compile(self):
+        recipes = {
+            "rpc": "iotcloud_room(NAME page_settings)\niotcloud_room(NAME rpc_http USES page_settings)\n",
+            "topology": "iotcloud_room(NAME local USES page_settings)\n",
+            "examples": "iotcloud_program(NAME turtlebot-demo USES local)\niotcloud_program(NAME other USES rpc_http)\n",
+            "tests": "iotcloud_fuzzer(NAME page USES page_settings)\niotcloud_fuzzer(NAME http THREADED USES rpc_http)\n",
+        }
+        self.assertEqual(self.problems_of(recipes), [])
+        [problem] = self.problems_of({**recipes, "topology": "iotcloud_room(NAME local USES rpc_http)\n"})
+        self.assertTrue(problem.startswith("examples/CMakeLists.txt:1: turtlebot-demo uses local -> rpc_http, "), problem)
+        [problem] = self.problems_of({**recipes, "tests": recipes["tests"].replace("THREADED ", "")})
+        self.assertTrue(problem.startswith("tests/CMakeLists.txt:2: http uses rpc_http, "), problem)
+
     def problems_of(self, recipes):
         with tempfile.TemporaryDirectory() as root:
             for room, recipe in recipes.items():
