@@ -21,7 +21,7 @@ std::size_t orders_of(const master::Backup& backup) {
 
 }  // namespace
 
-IOTCLOUD_FUZZ_TARGET(backup, 10'000) {
+IOTCLOUD_FUZZ_TARGET(backup, 4'000) {
   constexpr std::size_t piece = 300;  // bytes
   master::Backup backup;
   try {

@@ -6,7 +6,7 @@
 
 using namespace iotcloud;
 
-IOTCLOUD_FUZZ_TARGET(declaration, 20'000) {
+IOTCLOUD_FUZZ_TARGET(declaration, 1'500) {
   const auto input = fuzz::text(data, size);
   for (const auto& declaration : {config::declaration_in(input), config::parse_declaration(input)}) {
     const auto again = config::parse_declaration(config::to_json(declaration));

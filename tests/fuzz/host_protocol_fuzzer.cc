@@ -6,7 +6,7 @@
 using namespace iotcloud;
 namespace host = gateway::protocol;
 
-IOTCLOUD_FUZZ_TARGET(host_protocol, 10'000) {
+IOTCLOUD_FUZZ_TARGET(host_protocol, 3'000) {
   fuzz::read_frames(
       fuzz::text(data, size), [](const std::string& body) { fuzz::read_again(body, host::decode_report); },
       [](const std::string& body) { fuzz::read_again(body, host::decode_command); });

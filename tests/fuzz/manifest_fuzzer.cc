@@ -31,7 +31,7 @@ cli::Fleet carried_out(const cli::Manifest& manifest, const cli::FleetPlan& plan
 
 }  // namespace
 
-IOTCLOUD_FUZZ_TARGET(manifest, 10'000) {
+IOTCLOUD_FUZZ_TARGET(manifest, 5'000) {
   cli::Manifest manifest;
   try {
     manifest = cli::read_manifest(config::YamlSection::parse(fuzz::text(data, size), "fleet.yaml"));

@@ -30,7 +30,7 @@ void take(const std::string& bytes, Record (*decode)(const std::string&, const s
 
 }  // namespace
 
-IOTCLOUD_FUZZ_TARGET(registry_records, 15'000) {
+IOTCLOUD_FUZZ_TARGET(registry_records, 7'000) {
   if (size == 0) return;
   const std::string bytes(fuzz::text(data + 1, size - 1));
   switch (*data % 16) {

@@ -7,7 +7,7 @@
 
 using namespace iotcloud;
 
-IOTCLOUD_FUZZ_TARGET(selection, 15'000) {
+IOTCLOUD_FUZZ_TARGET(selection, 10'000) {
   static const discovery::DriverRecord driver = [] {
     discovery::DriverRecord record;
     record.metadata = {{"a", "1"}, {"location", "39.17,-86.52"}, {"site", "lab"}, {"x", "1"}, {"y", ""}};

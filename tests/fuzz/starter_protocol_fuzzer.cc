@@ -6,7 +6,7 @@
 
 using namespace iotcloud;
 
-IOTCLOUD_FUZZ_TARGET(starter_protocol, 50'000) {
+IOTCLOUD_FUZZ_TARGET(starter_protocol, 30'000) {
   fuzz::read_frames(
       fuzz::text(data, size), [](const std::string& body) { fuzz::read_again(body, processes::decode_answer); },
       [](const std::string& body) { fuzz::read_again(body, processes::decode_request); });

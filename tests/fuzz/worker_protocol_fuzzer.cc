@@ -6,7 +6,7 @@
 using namespace iotcloud;
 namespace pooled = topology::pooled;
 
-IOTCLOUD_FUZZ_TARGET(worker_protocol, 50'000) {
+IOTCLOUD_FUZZ_TARGET(worker_protocol, 6'000) {
   fuzz::read_frames(
       fuzz::text(data, size), [](const std::string& body) { fuzz::read_again(body, pooled::decode_report); },
       [](const std::string& body) { fuzz::read_again(body, pooled::decode_command); });
