@@ -72,7 +72,7 @@ if(IOTCLOUD_UNITY AND CMAKE_CXX_COMPILER_ID STREQUAL Clang)
   target_compile_options(iotcloud_warnings INTERFACE -Wno-shadow)
 endif()
 if(rooms IN_LIST IOTCLOUD_PRECOMPILE AND CMAKE_CXX_COMPILER_ID STREQUAL GNU)
-  # With sanitizers or precompiled headers GCC gives these warnings wrongly; the preset release has them on.
+  # With sanitizers or precompiled headers GCC gives these warnings wrongly.
   target_compile_options(iotcloud_warnings INTERFACE -Wno-array-bounds -Wno-stringop-overflow -Wno-stringop-overread
                                                      -Wno-maybe-uninitialized)
 endif()
