@@ -1,4 +1,4 @@
-"""The figures of `./dev bench storm`: ours beside Apache Storm, on the same broker and in memory."""
+"""The figures of `./dev bench storm`: ours beside Apache Storm, on the same broker, in memory and on a cluster."""
 
 import statistics
 import sys
@@ -8,9 +8,12 @@ from pathlib import Path
 from brokers_report import NOISE, broker_cpu, p50, p99
 from figures import ProgramFailed, number
 from paper.points import asked_for, bytes_text
+from storm_rounds import Rounds
 
 sys.path.insert(0, str(Path(__file__).resolve().parent / "peers"))
-from storm import build  # noqa: E402
+from local_storm import build  # noqa: E402
+from storm_cluster import Cluster  # noqa: E402
+from storm_cluster_report import ClusterMeasurement, ClusterScale  # noqa: E402
 from storm_turns import BARE, DEFAULTS, DRIVERS, OURS, SETTLE_S, STORM, TUNED, StartError, Turns  # noqa: E402
 
 POINTS = [(size, rate) for size in (100, 60_000) for rate in (20, 100)]
@@ -39,8 +42,9 @@ class Scale:
     """How much is measured: rounds, seconds, and the phases (topology, tracked, setting). `asked_for(title)` says
     whether a figure is to be measured."""
 
-    def __init__(self, scale, rounds=None, asked_for=lambda _title: True):
+    def __init__(self, scale, rounds=None, asked_for=lambda _title: True, keep_noisy=False):
         quick = scale == "quick"
+        self.keep_noisy = keep_noisy
         self.rounds = rounds or {"quick": 2, "usual": 3, "full": 7}[scale]
         self.warm_up_s = 6 if quick else 20
         self.echo_s, self.memory_s = (2, 1.5) if quick else (5, 3)
@@ -69,43 +73,6 @@ class Scale:
         pairs = {phase: len(self.points(*phase[1:])) if phase[0] == "echo" else 1 for phase in self.phases}
         return sum(self.warm_up_of(phase[0]) + self.rounds * count * self.round_s(phase[0])
                    for phase, count in pairs.items())
-
-
-class Rounds:
-    """Rounds in each of which all sides take one turn, in reverse order in every second round. A round in which other
-    processes took more than NOISE CPUs is thrown away and taken again."""
-
-    def __init__(self, title, wanted, sides):
-        self.sides, self.title, self.wanted, self.taken, self.thrown, self.problem = sides, title, wanted, 0, 0, None
-        self.lines = {side: [] for side in sides}
-
-    def wants_more(self):
-        return not self.problem and len(self.lines[OURS]) < self.wanted and self.taken < 2 * self.wanted
-
-    def take(self, turn):
-        """Runs one round. `turn(side)` measures one side and returns a line."""
-        order = self.sides if self.taken % 2 == 0 else self.sides[::-1]
-        self.taken += 1
-        try:
-            lines = {side: turn(side) for side in order}
-        except ProgramFailed as failure:  # the other figures are measured in any case
-            self.problem, self.lines = str(failure).strip(), {side: [] for side in self.sides}
-            return
-        if max(line["others_cpu"] for line in lines.values()) > NOISE:
-            self.thrown += 1
-            return
-        for side, line in lines.items():
-            self.lines[side].append(line)
-
-    def say_problem(self, report):
-        report.thrown_away += self.thrown
-        if self.problem:
-            report.fail(f"{self.title}: GIVEN UP: {self.problem}")
-        elif not self.lines[OURS]:
-            print(f"{self.title}: no round was quiet", flush=True)
-
-    def of(self, side, figure):
-        return [figure(line) for line in self.lines[side]]
 
 
 def point_of(x, rounds, side):
@@ -140,8 +107,6 @@ class Measurement:
                 (self.echo if topology == "echo" else self.memory)(*phase)
             except (StartError, ProgramFailed) as failure:  # the other phases are measured in any case
                 self.report.fail(f"{topology}, {tracking(tracked)}, {setting}: GIVEN UP: {failure}")
-        if self.report.thrown_away:
-            print(f"{self.report.thrown_away} rounds were thrown away: other processes took more than {NOISE} of a CPU")
         self.print_table()
         return self.plots()
 
@@ -150,7 +115,7 @@ class Measurement:
         rounds.take(turn)
 
     def echo(self, _topology, tracked, setting):
-        all_rounds = {point: Rounds(echo_title(*point, tracked), self.scale.rounds, (OURS, STORM, BARE))
+        all_rounds = {point: Rounds(echo_title(*point, tracked), self.scale.rounds, (OURS, STORM, BARE), self.scale.keep_noisy)
                       for point in self.scale.points(tracked, setting)}
         with self.turns.echo(tracked, setting, self.scale.warm_up_s):
             while any(rounds.wants_more() for rounds in all_rounds.values()):
@@ -183,7 +148,7 @@ class Measurement:
 
     def memory(self, dag, tracked, setting):
         _, unit = NAMES[dag]
-        rounds = Rounds(memory_title(dag, tracked), self.scale.rounds, (OURS, STORM))
+        rounds = Rounds(memory_title(dag, tracked), self.scale.rounds, (OURS, STORM), self.scale.keep_noisy)
         with self.turns.memory(dag, tracked, setting, self.scale.warm_up_s):
             while rounds.wants_more():
                 self.take(rounds, dag, lambda side: self.turns.memory_turn(side, dag, tracked, self.scale.memory_s))
@@ -241,20 +206,29 @@ class StormFigure:
     name, title, broker, servers = "storm", "the same application beside Apache Storm", "rabbitmq", ("rabbitmq", "storm")
 
     @staticmethod
-    def scale(given):
-        return Scale(given.scale, given.rounds, lambda title: asked_for(given, title))
+    def scales(given):
+        """How much is measured of both parts: in one process, and on a cluster."""
+        more = (given.scale, given.rounds, lambda title: asked_for(given, title), getattr(given, "keep_noisy", False))
+        return Scale(*more), ClusterScale(*more)
 
     def seconds(self, given):
-        return self.scale(given).seconds()
+        return sum(scale.seconds() for scale in self.scales(given))
 
     def take(self, given, report, progress):
-        scale = self.scale(given)
-        if not scale.phases:
+        scale, cluster_scale = self.scales(given)
+        if not scale.phases and not cluster_scale.phases:
             return []
-        class_path = build()
-        with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder, \
-                Turns(given.build / "bin", folder, class_path) as turns:
-            return Measurement(turns, scale, report, progress).run()
+        class_path, plots = build(), []
+        with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
+            if scale.phases:
+                with Turns(given.build / "bin", Path(folder) / "local", class_path) as turns:
+                    plots += Measurement(turns, scale, report, progress).run()
+            if cluster_scale.phases:
+                with Cluster(given.build, Path(folder) / "cluster", class_path) as cluster:
+                    plots += ClusterMeasurement(cluster, cluster_scale, report, progress).run()
+        if report.thrown_away:
+            print(f"{report.thrown_away} rounds were thrown away: other processes took more than {NOISE} of a CPU")
+        return plots
 
 
 FIGURE = StormFigure()
@@ -264,8 +238,10 @@ def add_options(command, root):
     scale = command.add_mutually_exclusive_group()
     scale.add_argument("--quick", action="store_true", help="tuned Storm only, fewer and shorter rounds")
     scale.add_argument("--full", action="store_true", help="seven rounds")
-    command.add_argument("--rounds", type=int, help="default: 3, with --quick 2, with --full 7")
+    command.add_argument("--rounds", type=int, help="default: 3, with --quick 2, with --full 7; on a cluster 5, 3 and 7")
     command.add_argument("--points", metavar="REGEX", help="those in whose name this is found, as in "
-                         "'60 KB, 4 x 100/s, tracked, Storm, tuned'; the file has no others then")
+                         "'60 KB, 4 x 100/s, tracked, Storm, tuned' or 'on Storm, chain of 3, 2 workers, acked'; the "
+                         "file has no others then")
+    command.add_argument("--keep-noisy", action="store_true", help="rounds in which other processes took much CPU count, too")
     command.add_argument("--out", type=Path, default=root / "build/bench/paper", help="where the figure's file goes")
     command.set_defaults(figure=[FIGURE.name], broker=None)

@@ -91,7 +91,7 @@ def run_paper(given):
 
 def add_options(command, root):
     scale = command.add_mutually_exclusive_group()
-    scale.add_argument("--quick", action="store_true", help="few points, one round: about five minutes, and Storm's two")
+    scale.add_argument("--quick", action="store_true", help="few points, one round: about five minutes, and Storm's seven")
     scale.add_argument("--full", action="store_true", help="all points, five rounds: some five hours")
     names = [figure.name for figure in FIGURES]
     command.add_argument("--figure", action="append", choices=names, help="this one; may be given several times")

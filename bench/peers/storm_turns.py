@@ -12,7 +12,7 @@ from figures import ProgramFailed, Programs
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent / "tests" / "servers"))
 from private_cluster import PrivateCluster, StartError, echo_topology, free_port  # noqa: E402
-from storm import Storm, cpu_seconds_of  # noqa: E402
+from local_storm import Storm, cpu_seconds_of  # noqa: E402
 
 OURS, STORM, BARE = "ours", "storm", "bare"  # BARE: both ends on librabbitmq alone, in one process
 DRIVERS = 4  # each has a spout task and a bolt task

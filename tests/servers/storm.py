@@ -89,7 +89,9 @@ class Daemon(private_server.Server):
 
 
 class Storm:
-    def __init__(self, folder, port=None, slots=4):
+    def __init__(self, folder, port=None, slots=4, worker_jvm=WORKER_JVM, more=None):
+        """`worker_jvm`: options of the workers' JVMs; `more`: other settings of storm.yaml."""
+        self.worker_jvm, self.more = worker_jvm, more or {}
         self.folder = os.path.abspath(folder)
         for name in ("conf", "log4j2", "extlib", "logs", os.path.join("java", "bin")):
             os.makedirs(os.path.join(self.folder, name), exist_ok=True)
@@ -130,8 +132,8 @@ class Storm:
             "supervisor.heartbeat.frequency.secs": 2, "supervisor.worker.shutdown.sleep.secs": 1,
             # At 0 Nimbus would delete what it still uses.
             "nimbus.topology.blobstore.deletion.delay.ms": 60000,
-            "executor.metrics.frequency.secs": 5, "worker.childopts": '"%s"' % WORKER_JVM,
-            "topology.worker.logwriter.childopts": '"-Xmx32m %s"' % " ".join(private_server.SMALL_JVM)}
+            "executor.metrics.frequency.secs": 5, "worker.childopts": '"%s"' % self.worker_jvm,
+            "topology.worker.logwriter.childopts": '"-Xmx32m %s"' % " ".join(private_server.SMALL_JVM), **self.more}
         self.write(os.path.join(self.folder, "conf", "storm.yaml"),
                    "".join("%s: %s\n" % setting for setting in settings.items()))
 
@@ -187,8 +189,8 @@ class Storm:
     def resume(self, part=None):
         return self.each(part, lambda each: each.resume())
 
-    def running_workers(self):
-        """The workers' processes, by port."""
+    def running_workers(self, topology=None):
+        """The workers' processes, by port: all, or those of a topology."""
         found = {}
         for process in filter(str.isdigit, os.listdir("/proc")):
             try:
@@ -199,9 +201,11 @@ class Storm:
             # The shell that watches a worker has the worker's words, after its own.
             if (os.path.basename(words[0]) == "java" and "-Dstorm.home=" + self.folder in words and
                     "org.apache.storm.daemon.worker.Worker" in words):
-                ports = [word.partition("=")[2] for word in words if word.startswith("-Dworker.port=")]
-                if ports and "org.apache.storm.LogWriter" not in words:
-                    found[int(ports[0])] = int(process)
+                said = dict(word.partition("=")[::2] for word in words if word.startswith(("-Dworker.port=", "-Dstorm.id=")))
+                # The id is NAME-NUMBER-TIME.
+                wanted = topology in (None, said.get("-Dstorm.id", "").rsplit("-", 2)[0])
+                if "-Dworker.port" in said and wanted and "org.apache.storm.LogWriter" not in words:
+                    found[int(said["-Dworker.port"])] = int(process)
         return found
 
     def workers(self):

@@ -38,7 +38,7 @@ final class Chain {
         }
     }
 
-    private static final class Pass extends BaseBasicBolt {
+    static final class Pass extends BaseBasicBolt {
         @Override
         public void execute(Tuple tuple, BasicOutputCollector collector) {
             collector.emit(new Values(tuple.getValue(0)));

@@ -61,7 +61,7 @@ final class Words {
         }
     }
 
-    private static final class Split extends BaseBasicBolt {
+    static final class Split extends BaseBasicBolt {
         @Override
         public void execute(Tuple tuple, BasicOutputCollector collector) {
             String sentence = tuple.getString(0);
