@@ -66,7 +66,7 @@ def shown(results, name, chosen):
     folder of the kept files."""
     file = results / f"{name}.json"
     if not file.exists():
-        command = name.removeprefix("paper/").replace("figure-", "paper --figure ")
+        command = name.removeprefix("paper/").replace("figure-", "paper --figure ").replace("storm-", "storm --")
         return f"No run is kept in the project; `./dev bench {command}` takes these figures.\n"
     data = read(file)
     rows = [row(result) for result in data["results"]

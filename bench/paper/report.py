@@ -9,6 +9,7 @@ from pathlib import Path
 
 import page
 import storm_report
+import storm_soak
 import turtlebot
 import versions
 from brokers_report import Report
@@ -22,19 +23,20 @@ from paper.systems import KINDS, StartError, Unavailable
 # `take(given, report, progress)`, which adds to the report's results and returns the plots. `given` has `scale`
 # ("quick", "usual", "full"), `build` and `out` (the folder of the figures' files). take() raises ProgramFailed or
 # StartError when nothing can be measured. A point that cannot be measured becomes {"x": .., "failed": why}, and
-# report.fail() is told why.
+# report.fail() is told why. One with `alone` is taken only when it is named.
 FIGURES = [
     *sizes.FIGURES,
     *drivers.FIGURES,
     turtlebot.FIGURE,
     storm_report.FIGURE,
+    storm_soak.SOAK,
 ]
 
 
 def chosen(given):
     """The figures that the command line asks for."""
     return [figure for figure in FIGURES
-            if (not given.figure or figure.name in given.figure)
+            if (figure.name in given.figure if given.figure else not getattr(figure, "alone", False))
             and (not given.broker or figure.broker is None or figure.broker in given.broker)]
 
 

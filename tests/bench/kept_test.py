@@ -72,7 +72,7 @@ class KeptTest(unittest.TestCase):
         self.assertIn("no figure that is called 'nothing'", kept.check(self.root)[0])
 
     def test_without_a_run_the_document_says_how_to_take_one(self):
-        for name, command in (("paper/figure-12", "paper --figure 12"), ("paper/storm", "storm"), ("runtime", "runtime")):
+        for name, command in (("paper/figure-12", "paper --figure 12"), ("paper/storm", "storm"), ("paper/storm-soak", "storm --soak"), ("runtime", "runtime")):
             document = self.document(name)
             self.assertIn("README.md: a block is not what its file says", kept.check(self.root)[0])
             (self.root / "build/bench/paper/figure-7.json").unlink(missing_ok=True)
