@@ -11,7 +11,7 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little, "Java's side writes little endian");
 
-enum class Kind : std::uint8_t { null, no, yes, integer, real, string, payload };
+enum class Kind : std::uint8_t { null, no, yes, integer, real, string, payload, of_tuple, array };
 
 constexpr std::size_t most_bytes = std::numeric_limits<std::int32_t>::max();
 constexpr std::size_t count_size = sizeof(std::uint32_t);
@@ -128,7 +128,7 @@ class Reader {
   std::span<const std::byte> left_;
 };
 
-Value read(Reader& reader) {
+Value read(Reader& reader, JavaArrays* arrays) {
   const auto kind = reader.number<Kind>();
   switch (kind) {
     case Kind::null:
@@ -147,33 +147,54 @@ Value read(Reader& reader) {
     }
     case Kind::payload:
       return Payload::copy(reader.counted());
+    case Kind::array:
+      if (arrays != nullptr) return arrays->next();
+      break;
+    case Kind::of_tuple:
+      break;  // only to Java
   }
   throw ValueFormatError("there is no value of kind " + std::to_string(static_cast<int>(kind)));
 }
 
 }  // namespace
 
-std::size_t encoded_size(std::span<const Value> values) {
+std::size_t encoded_size(std::span<const Value> values, JavaValues elsewhere) {
   std::size_t size = count_size;
-  for (const Value& value : values) size += size_of(value);
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    const std::size_t whole = size_of(values[i]);
+    if (i >= elsewhere.size() || !elsewhere[i]) {
+      size += whole;
+    } else {
+      size += elsewhere[i]->slot == JavaValue::next_array ? 1 : 1 + sizeof(JavaValue);
+    }
+  }
   return size;
 }
 
-std::byte* encode_values(std::span<const Value> values, std::byte* at) noexcept {
+std::byte* encode_values(std::span<const Value> values, std::byte* at, JavaValues elsewhere) noexcept {
   Writer writer(at);
   writer.number(static_cast<std::uint32_t>(values.size()));
-  for (const Value& value : values) write(writer, value);
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    if (i >= elsewhere.size() || !elsewhere[i]) {
+      write(writer, values[i]);
+    } else if (elsewhere[i]->slot == JavaValue::next_array) {
+      writer.kind(Kind::array);
+    } else {
+      writer.kind(Kind::of_tuple);
+      writer.number(*elsewhere[i]);
+    }
+  }
   return writer.at();
 }
 
-Values decode_values(std::span<const std::byte> bytes, std::int64_t* birth) {
+Values decode_values(std::span<const std::byte> bytes, std::int64_t* birth, JavaArrays* arrays) {
   Reader reader(bytes);
   Values values;
   auto count = reader.number<std::uint32_t>();
   if (birth != nullptr && count == 0) throw ValueFormatError("there is no value, so no birth");
-  for (; count > (birth != nullptr ? 1 : 0); --count) values.add(read(reader));
+  for (; count > (birth != nullptr ? 1 : 0); --count) values.add(read(reader, arrays));
   if (birth != nullptr) {
-    const Value last = read(reader);
+    const Value last = read(reader, nullptr);
     const auto* number = std::get_if<std::int64_t>(&last);
     if (number == nullptr) throw ValueFormatError(std::string("the birth is a ") + kind_of(last));
     *birth = *number;

@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <stdexcept>
 #include <string>
@@ -18,6 +19,8 @@ namespace iotcloud::topology::storm {
 //     0 null, 1 false, 2 true        nothing
 //     3 integer, 4 double            8 bytes
 //     5 string, 6 payload            count(4 bytes), and as many bytes
+//     7 a value of a tuple           slot(4 bytes) place(4 bytes); only from C++ to Java, which keeps the tuple
+//     8 an array                     nothing: it crosses by itself, in the order of the values
 
 /// Says why bytes are no values, or why values cannot be sent.
 class ValueFormatError : public std::runtime_error {
@@ -25,14 +28,35 @@ class ValueFormatError : public std::runtime_error {
   using std::runtime_error::runtime_error;
 };
 
+/// Where Java finds a value that is not among the bytes: at `place` of the tuple that it keeps under `slot`, or in the
+/// next array that it was given.
+struct JavaValue {
+  static constexpr std::uint32_t next_array = 0xFFFFFFFF;  ///< in place of a slot
+  std::uint32_t slot = next_array;
+  std::uint32_t place = 0;
+};
+/// By the place of a value; those that have none, and those beyond the end, are among the bytes.
+using JavaValues = std::span<const std::optional<JavaValue>>;
+
+/// Payloads of so many bytes or more cross by themselves: with one copy in place of two.
+inline constexpr std::size_t least_array = std::size_t{16} << 10;
+
 /// The number of bytes that encode_values() writes. \throws ValueFormatError for a string or payload of 2 GiB or more,
 /// and for a string that is not UTF-8, which Java's strings cannot hold.
-std::size_t encoded_size(std::span<const Value> values);
+std::size_t encoded_size(std::span<const Value> values, JavaValues elsewhere = {});
 /// Writes the values. \param at has room for encoded_size(). \return the end of what was written.
-std::byte* encode_values(std::span<const Value> values, std::byte* at) noexcept;
+std::byte* encode_values(std::span<const Value> values, std::byte* at, JavaValues elsewhere = {}) noexcept;
+
+/// The arrays that came with values.
+class JavaArrays {
+ public:
+  virtual ~JavaArrays() = default;
+  /// A copy of the next one. \throws ValueFormatError when there is none.
+  virtual Payload next() = 0;
+};
 
 /// Reads values; payloads are copied. \param birth if it is there, the last value, an integer, goes there instead.
-/// \throws ValueFormatError for anything but values from the first byte to the last.
-Values decode_values(std::span<const std::byte> bytes, std::int64_t* birth = nullptr);
+/// \param arrays null: none came. \throws ValueFormatError for anything but values from the first byte to the last.
+Values decode_values(std::span<const std::byte> bytes, std::int64_t* birth = nullptr, JavaArrays* arrays = nullptr);
 
 }  // namespace iotcloud::topology::storm

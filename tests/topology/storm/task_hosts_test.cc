@@ -1,7 +1,9 @@
 // What a task's C++ side makes of the calls of Java: a test plays Java, and reads the commands.
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <cstring>
+#include <deque>
 #include <functional>
 #include <memory>
 #include <string>
@@ -36,12 +38,17 @@ class Java final : public CommandSink {
     buffer_.resize(size);
     return buffer_;
   }
+  void add_array(std::span<const std::byte> bytes) override {
+    arrays_.push_back(std::to_string(bytes.size()) + static_cast<char>(bytes.front()));
+    most_arrays = std::max(most_arrays, arrays_.size());
+  }
   void wake() noexcept override { ++wakes; }
 
   std::vector<std::string> taken() { return std::exchange(commands, {}); }
 
   std::vector<std::string> commands;
   int wakes = 0;
+  std::size_t most_arrays = 0;  ///< that waited for their commands at a time
 
  private:
   template <typename Number>
@@ -75,19 +82,31 @@ class Java final : public CommandSink {
       const auto id = number<std::uint64_t>();
       if (tracked) text += " id " + std::to_string(id);
     }
-    // The values' size is not said: one string of few bytes is all that these tests emit, and births after it.
+    // The values' size is not said: one string of few bytes, or one payload, is all that these tests emit, and births
+    // after it.
     std::byte* begin = at_;
     const auto count = number<std::uint32_t>();
-    number<std::uint8_t>();
+    const auto kind = number<std::uint8_t>();
+    if (kind == 7) {
+      const auto slot = number<std::uint32_t>();
+      return text + ": value " + std::to_string(number<std::uint32_t>()) + " of @" + std::to_string(slot);
+    }
+    if (kind == 8) {
+      text += ": array " + arrays_.front();
+      arrays_.pop_front();
+      return text;
+    }
     at_ += number<std::uint32_t>();
     if (count > 1) at_ += 9;
     const Values values = decode_values({begin, static_cast<std::size_t>(at_ - begin)});
-    text += ": " + std::get<std::string>(values[0]);
+    const auto* payload = std::get_if<Payload>(&values[0]);
+    text += ": " + (payload != nullptr ? std::string(payload->text()) : std::get<std::string>(values[0]));
     return count > 1 ? text + ", born" : text;
   }
 
   std::vector<std::byte> buffer_;
   std::byte* at_ = nullptr;
+  std::deque<std::string> arrays_;  ///< the size of each, and its first byte
 };
 
 TaskDescription described(bool births = false) {
@@ -268,6 +287,53 @@ TEST(StormBoltHost, AFullBufferIsAppliedAndALargeCommandGetsALargerOne) {
       described(), {}, 40);
   EXPECT_THAT(task.execute(1, Values("x")),
               ElementsAre("emit stream 1: small", "emit stream 1: " + std::string(100, 'x'), "ack 1"));
+}
+
+TEST(StormBoltHost, APayloadThatIsPassedOnDoesNotCrossAgain) {
+  std::vector<Tuple> held;
+  BoltTask task([&](const Tuple& tuple, OutputCollector& out) {
+    const auto& payload = tuple.get<Payload>(0);
+    out.emit(Values(payload));
+    out.emit(tuple, Values(Payload::copy(payload.bytes())));
+    for (const Tuple& other : held) out.emit(other, Values(other.at(0)));
+    held.push_back(tuple);
+    if (held.size() > 1) out.ack(tuple);
+    // It may be another tuple's slot from now on.
+    if (held.size() > 1) out.emit(Values(payload));
+  });
+  const Values large(Payload::copy(std::string(256, 'x')));
+  const std::string bytes(256, 'x');
+  EXPECT_THAT(task.execute(3, large), ElementsAre("emit stream 1: value 0 of @3", "emit stream 1 @3: " + bytes));
+  EXPECT_THAT(task.execute(4, large),
+              ElementsAre("emit stream 1: value 0 of @4", "emit stream 1 @4: " + bytes,
+                          "emit stream 1 @3: value 0 of @3", "ack 4", "emit stream 1: " + bytes));
+  held.clear();
+}
+
+TEST(StormBoltHost, LargePayloadsOfCommandsThatWaitAreGivenToJavaInOrder) {
+  BoltTask task(
+      [](const Tuple& tuple, OutputCollector& out) {
+        for (const char letter : {'a', 'b', 'c'}) out.emit(Values(Payload::copy(std::string(least_array, letter))));
+        EXPECT_THROW(out.emit(Values(Payload::copy(std::string(least_array, 'd')), "two values")),
+                     std::invalid_argument);
+        EXPECT_THROW(out.emit(Values("\xFF")), ValueFormatError);
+        out.emit(tuple, Values(Payload::copy(std::string(least_array, 'e'))));
+        out.ack(tuple);
+      },
+      described(), {}, 2 * least_array);
+  EXPECT_THAT(task.execute(1, Values("x")),
+              ElementsAre("emit stream 1: array 16384a", "emit stream 1: array 16384b", "emit stream 1: array 16384c",
+                          "emit stream 1 @1: array 16384e", "ack 1"));
+  EXPECT_EQ(task.java.most_arrays, 2U);
+}
+
+TEST(StormBoltHost, ASmallPayloadCrosses) {
+  BoltTask task([](const Tuple& tuple, OutputCollector& out) {
+    out.emit(tuple, Values(tuple.at(0)));
+    out.ack(tuple);
+  });
+  EXPECT_THAT(task.execute(1, Values(Payload::copy(std::string("small")))),
+              ElementsAre("emit stream 1 @1: small", "ack 1"));
 }
 
 TEST(StormBoltHost, TicksComeFromStormOnlyInWholeSeconds) {

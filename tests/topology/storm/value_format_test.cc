@@ -1,4 +1,5 @@
 #include <limits>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -34,6 +35,37 @@ TEST(StormValues, ComeBackAsTheyWere) {
   const Values again = decode_values(encoded_bytes(values));
   ASSERT_EQ(again.size(), values.size());
   for (std::size_t i = 0; i < values.size(); ++i) EXPECT_EQ(again[i], values[i]) << i;
+}
+
+TEST(StormValues, ThatJavaFindsElsewhereAreNotAmongTheBytes) {
+  const Payload payload = Payload::copy(std::string(1000, 'x'));
+  const Values values("a", payload, payload, "b");
+  const std::vector<std::optional<JavaValue>> elsewhere{std::nullopt, JavaValue{3, 2}, JavaValue{}};
+  std::vector<std::byte> bytes(encoded_size(values.all(), elsewhere));
+  EXPECT_EQ(encode_values(values.all(), bytes.data(), elsewhere), bytes.data() + bytes.size());
+  EXPECT_EQ(bytes.size(), 4U + 6 + 9 + 1 + 6);
+  EXPECT_EQ(bytes[4 + 6], std::byte{7});
+  EXPECT_EQ(bytes[4 + 6 + 1], std::byte{3});
+  EXPECT_EQ(bytes[4 + 6 + 5], std::byte{2});
+  EXPECT_EQ(bytes[4 + 6 + 9], std::byte{8});
+}
+
+TEST(StormValues, ArraysAreTakenInTheirOrder) {
+  struct Arrays final : JavaArrays {
+    Payload next() override { return Payload::copy(std::to_string(++count)); }
+    int count = 0;
+  } arrays;
+  const Payload large = Payload::copy(std::string("large"));
+  const Values values(large, "between", large);
+  const std::vector<std::optional<JavaValue>> elsewhere{JavaValue{}, std::nullopt, JavaValue{}};
+  std::vector<std::byte> bytes(encoded_size(values.all(), elsewhere));
+  encode_values(values.all(), bytes.data(), elsewhere);
+  const Values read = decode_values(bytes, nullptr, &arrays);
+  ASSERT_EQ(read.size(), 3U);
+  EXPECT_EQ(std::get<Payload>(read[0]).text(), "1");
+  EXPECT_EQ(std::get<std::string>(read[1]), "between");
+  EXPECT_EQ(std::get<Payload>(read[2]).text(), "2");
+  EXPECT_EQ(why_refused(bytes), "there is no value of kind 8");
 }
 
 TEST(StormValues, AreRefusedWhenTheyEndEarlyOrLate) {

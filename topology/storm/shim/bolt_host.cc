@@ -30,6 +30,18 @@ namespace {
 /// Stands for Storm's tree of every tuple: senders to brokers ack a tuple without one before the broker confirms.
 internal::Tree storms_tree;
 
+/// A payload of so many bytes that a bolt passes on does not cross to Java again.
+constexpr std::size_t least_kept = 256;
+
+/// The place of the value that shares this payload's bytes; the number of values if none does.
+std::size_t place_of(const Payload& payload, std::span<const Value> values) {
+  const auto shares = [&](const Value& value) {
+    const auto* other = std::get_if<Payload>(&value);
+    return other != nullptr && other->data() == payload.data() && other->size() == payload.size();
+  };
+  return static_cast<std::size_t>(std::find_if(values.begin(), values.end(), shares) - values.begin());
+}
+
 std::chrono::microseconds shorter(std::chrono::microseconds a, std::chrono::microseconds b) {
   return a.count() == 0 ? b : b.count() == 0 ? a : std::min(a, b);
 }
@@ -75,12 +87,12 @@ void BoltHost::close_component() {
   bolt_->cleanup();
 }
 
-std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_task,
-                              std::span<const std::byte> values) {
+std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values,
+                              JavaArrays* arrays) {
   Received* received = receive(slot, input, source_task);
   const Tuple tuple(received);
   const OwnCall own(*this);
-  if (guarded("execute()", [&] { decode(*received, input, values); })) {
+  if (guarded("execute()", [&] { decode(*received, input, values, arrays); })) {
     run(tuple, input);
   } else {
     answer(Answer::fail, tuple);
@@ -88,11 +100,12 @@ std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_
   return commands_.take();
 }
 
-std::int64_t BoltHost::keep(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values) {
+std::int64_t BoltHost::keep(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values,
+                            JavaArrays* arrays) {
   Received* received = receive(slot, input, source_task);
   const Tuple tuple(received);
   try {
-    decode(*received, input, values);
+    decode(*received, input, values, arrays);
     const Tuple replaced = kept_->put(tuple);
     if (!replaced) return -1;
     auto& its = static_cast<Received&>(*replaced.data());
@@ -119,10 +132,11 @@ BoltHost::Received* BoltHost::receive(std::uint32_t slot, std::size_t input, int
   return received;
 }
 
-void BoltHost::decode(Received& received, std::size_t input, std::span<const std::byte> values) const {
+void BoltHost::decode(Received& received, std::size_t input, std::span<const std::byte> values,
+                      JavaArrays* arrays) const {
   std::int64_t born_ms = 0;
   const bool births = task_.inputs[input].births;
-  received.values = decode_values(values, births ? &born_ms : nullptr);
+  received.values = decode_values(values, births ? &born_ms : nullptr, arrays);
   if (births) received.born_ns = birth_of(born_ms);
 }
 
@@ -213,8 +227,28 @@ void BoltHost::do_emit(std::string_view stream, std::span<const Tuple> anchors, 
     const auto& received = static_cast<const Received&>(*anchor.data());
     if (!received.answered.load(std::memory_order_relaxed)) anchors_.push_back(received.slot);
   }
+  find_kept(anchors, values.all());
   add_birth(number, values, birth_of_child(anchors));
-  commands_.emit(number, task, anchors_, values.all());
+  commands_.emit(number, task, anchors_, values.all(), kept_values_);
+}
+
+void BoltHost::find_kept(std::span<const Tuple> anchors, std::span<const Value> values) {
+  kept_values_.clear();
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    const auto* payload = std::get_if<Payload>(&values[i]);
+    if (payload == nullptr || payload->size() < least_kept) continue;
+    const auto look_in = [&](const Received& received) {
+      const std::size_t place = place_of(*payload, received.values.all());
+      if (received.answered.load() || place == received.values.size()) return false;
+      kept_values_.resize(i + 1);
+      kept_values_[i] = JavaValue{received.slot, static_cast<std::uint32_t>(place)};
+      return true;
+    };
+    if (current_ != nullptr && look_in(*current_)) continue;
+    for (const Tuple& anchor : anchors) {
+      if (look_in(static_cast<const Received&>(*anchor.data()))) break;
+    }
+  }
 }
 
 std::int64_t BoltHost::birth_of_child(std::span<const Tuple> anchors) const {

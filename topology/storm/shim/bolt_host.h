@@ -3,6 +3,7 @@
 #include <atomic>
 #include <cstdint>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -26,8 +27,9 @@ class BoltHost final : public TaskHost, private OutputCollector {
   ~BoltHost() override;
 
   /// Executes a tuple. \param slot the tuple's for Java. \param input the number of its stream among the task's
-  /// inputs. \param values as in value_format.h
-  std::size_t execute(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values);
+  /// inputs. \param values, arrays as in value_format.h
+  std::size_t execute(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values,
+                      JavaArrays* arrays = nullptr);
   std::size_t tick();
   std::size_t take_answers();
 
@@ -36,7 +38,8 @@ class BoltHost final : public TaskHost, private OutputCollector {
   bool keeps() const { return kept_ != nullptr; }
   /// Queues a tuple; waits for room if its input has no keep_last. \return the slot of the tuple that it replaces,
   /// which Java acks; -1: it replaces none
-  std::int64_t keep(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values);
+  std::int64_t keep(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values,
+                    JavaArrays* arrays = nullptr);
   void request_tick() { kept_->request_tick(); }
   /// Waits for a tuple, a tick or answers, and lets the bolt execute them. \return as execute(); -1: end_keeping() was
   /// called.
@@ -59,7 +62,7 @@ class BoltHost final : public TaskHost, private OutputCollector {
   void report_error(const std::string& text) override;
 
   Received* receive(std::uint32_t slot, std::size_t input, int source_task);
-  void decode(Received& received, std::size_t input, std::span<const std::byte> values) const;
+  void decode(Received& received, std::size_t input, std::span<const std::byte> values, JavaArrays* arrays) const;
   /// Lets the bolt execute a tuple.
   void run(const Tuple& tuple, std::size_t input);
   void run_tick();
@@ -72,6 +75,8 @@ class BoltHost final : public TaskHost, private OutputCollector {
   bool late(const Received& tuple, std::size_t input) const;
   void give_up_late(const Tuple& tuple);
   std::int64_t birth_of_child(std::span<const Tuple> anchors) const;
+  /// Fills kept_values_ with the payloads among the values that the anchors, or the tuple in execute(), brought.
+  void find_kept(std::span<const Tuple> anchors, std::span<const Value> values);
 
   AnswerQueue& queue_;
   config::Counter& late_;
@@ -81,9 +86,11 @@ class BoltHost final : public TaskHost, private OutputCollector {
   std::vector<std::int64_t> deadlines_ns_;   ///< of the inputs; 0: none
   const detail::StreamInfo tick_stream_{system_component, tick_stream, {}};
   std::unique_ptr<Bolt> bolt_;
-  std::unique_ptr<KeptTuples> kept_;    ///< null: no input has keep_last
-  const Received* current_ = nullptr;   ///< the tuple in execute()
-  std::vector<std::uint32_t> anchors_;  ///< only used in do_emit(); a member, to keep its memory
+  std::unique_ptr<KeptTuples> kept_;   ///< null: no input has keep_last
+  const Received* current_ = nullptr;  ///< the tuple in execute()
+  // Only used in do_emit(); members, to keep their memory.
+  std::vector<std::uint32_t> anchors_;
+  std::vector<std::optional<JavaValue>> kept_values_;
 
   config::Mutex mutex_;
   std::vector<std::pair<Answer, std::uint32_t>> answers_ IOTCLOUD_GUARDED_BY(mutex_);

@@ -2,9 +2,12 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string_view>
+#include <vector>
 
+#include <iotcloud/topology/storm/value_format.h>
 #include <iotcloud/topology/value.h>
 
 namespace iotcloud::topology::storm {
@@ -18,6 +21,8 @@ class CommandSink {
   virtual void apply(std::size_t size) = 0;
   /// Replaces the buffer by one of `size` bytes or more. \pre it has no commands.
   virtual std::span<std::byte> grow(std::size_t size) = 0;
+  /// Gives Java a copy of a value that the next command names.
+  virtual void add_array(std::span<const std::byte> bytes) = 0;
   /// Wakes the executor of a spout's task. Any thread.
   virtual void wake() noexcept = 0;
 };
@@ -36,8 +41,9 @@ class CommandWriter {
  public:
   CommandWriter(std::span<std::byte> buffer, CommandSink& sink) : buffer_(buffer), sink_(sink) {}
 
-  /// \throws ValueFormatError for values that cannot be sent.
-  void emit(std::uint16_t stream, int task, std::span<const std::uint32_t> anchors, std::span<const Value> values);
+  /// \param kept values that Java takes from its own tuples. \throws ValueFormatError for values that cannot be sent.
+  void emit(std::uint16_t stream, int task, std::span<const std::uint32_t> anchors, std::span<const Value> values,
+            JavaValues kept = {});
   /// As emit(), by a spout. \param id nullptr: nobody tracks the tuple.
   void emit(std::uint16_t stream, int task, const std::uint64_t* id, std::span<const Value> values);
   void ack(std::uint32_t slot) { about(2, slot); }
@@ -51,12 +57,18 @@ class CommandWriter {
 
  private:
   void about(std::uint8_t kind, std::uint32_t slot);
-  /// Room for a command of `size` bytes.
-  std::byte* room(std::size_t size);
+  /// Room for a command of `size` bytes, for which Java is given arrays of so many bytes.
+  std::byte* room(std::size_t size, std::size_t arrays = 0);
+  /// Fills elsewhere_: the large payloads that Java does not keep become arrays. \return the bytes of these
+  std::size_t look_over(std::span<const Value> values, JavaValues kept);
+  /// Writes the values, after Java was given its arrays.
+  void write(std::span<const Value> values, std::byte* at);
 
   std::span<std::byte> buffer_;
   CommandSink& sink_;
   std::size_t used_ = 0;
+  std::size_t arrays_ = 0;  ///< bytes of the arrays that Java was given for commands that it has not applied
+  std::vector<std::optional<JavaValue>> elsewhere_;  ///< values of the command that is being written
 };
 
 }  // namespace iotcloud::topology::storm

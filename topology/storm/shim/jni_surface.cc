@@ -16,10 +16,12 @@
 #include <iotcloud/topology/storm/shim/component_source.h>
 #include <iotcloud/topology/storm/shim/grouping_host.h>
 #include <iotcloud/topology/storm/shim/spout_host.h>
+#include <iotcloud/topology/storm/value_format.h>
 
 namespace {
 
 using namespace iotcloud::topology::storm;
+using iotcloud::topology::Payload;
 namespace config = iotcloud::config;
 
 JavaVM* machine = nullptr;
@@ -27,6 +29,7 @@ jclass native_class = nullptr;     // iotcloud.storm.Native
 jmethodID log_method = nullptr;    // static void log(int level, byte[] part, byte[] text)
 jmethodID apply_method = nullptr;  // of iotcloud.storm.NativeTask
 jmethodID grow_method = nullptr;
+jmethodID add_array_method = nullptr;
 jmethodID wake_method = nullptr;
 
 /// A thread of C++ becomes one of Java's for as long as it runs.
@@ -105,6 +108,15 @@ class JavaTask final : public CommandSink {
     env->DeleteLocalRef(buffer);
     return grown;
   }
+  void add_array(std::span<const std::byte> bytes) override {
+    JNIEnv* env = environment();
+    check(env);
+    jbyteArray array = bytes_of(env, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    check(env);
+    env->CallVoidMethod(task_, add_array_method, array);
+    check(env);
+    env->DeleteLocalRef(array);
+  }
   void wake() noexcept override {
     if (JNIEnv* env = environment(); env != nullptr) env->CallVoidMethod(task_, wake_method);
   }
@@ -133,14 +145,36 @@ Task& task_at(jlong handle) {
   return object_at<Task>(handle);
 }
 
-/// Hands a tuple, whose values are in the task's input, to its bolt.
+/// The large payloads of a tuple: a byte[][].
+class ArraysOfTuple final : public JavaArrays {
+ public:
+  ArraysOfTuple(JNIEnv* env, jobjectArray arrays) : env_(env), arrays_(arrays) {}
+  Payload next() override {
+    if (next_ == env_->GetArrayLength(arrays_)) throw ValueFormatError("there is no further array");
+    const auto array = static_cast<jbyteArray>(env_->GetObjectArrayElement(arrays_, next_++));
+    const auto size = static_cast<std::size_t>(env_->GetArrayLength(array));
+    const std::shared_ptr<std::byte[]> bytes(new std::byte[size]);
+    env_->GetByteArrayRegion(array, 0, static_cast<jsize>(size), reinterpret_cast<jbyte*>(bytes.get()));
+    env_->DeleteLocalRef(array);
+    return Payload::wrap(std::shared_ptr<const void>(bytes, bytes.get()), {bytes.get(), size});
+  }
+
+ private:
+  JNIEnv* const env_;
+  const jobjectArray arrays_;
+  jsize next_ = 0;
+};
+
+/// Hands a tuple, whose values are in the task's input, to its bolt. \param arrays null: it has no large payload
 template <typename Method>
-jint hand_over(JNIEnv* env, jlong handle, Method method, jint slot, jint input, jint source_task, jint size) {
+jint hand_over(JNIEnv* env, jlong handle, Method method, jint slot, jint input, jint source_task, jint size,
+               jobjectArray arrays) {
   return guarded(env, [&] {
     const Task& task = task_at(handle);
-    return static_cast<jint>(std::invoke(method, *task.bolt, static_cast<std::uint32_t>(slot),
-                                         static_cast<std::size_t>(input), source_task,
-                                         task.input.first(static_cast<std::size_t>(size))));
+    ArraysOfTuple large(env, arrays);
+    return static_cast<jint>(
+        std::invoke(method, *task.bolt, static_cast<std::uint32_t>(slot), static_cast<std::size_t>(input), source_task,
+                    task.input.first(static_cast<std::size_t>(size)), arrays != nullptr ? &large : nullptr));
   });
 }
 
@@ -186,8 +220,10 @@ JNIEXPORT jint JNICALL JNI_OnLoad(JavaVM* vm, void*) {
   log_method = env->GetStaticMethodID(native_class, "log", "(I[B[B)V");
   apply_method = env->GetMethodID(task, "apply", "(I)V");
   grow_method = env->GetMethodID(task, "grow", "(J)Ljava/nio/ByteBuffer;");
+  add_array_method = env->GetMethodID(task, "addArray", "([B)V");
   wake_method = env->GetMethodID(task, "wake", "()V");
-  if (log_method == nullptr || apply_method == nullptr || grow_method == nullptr || wake_method == nullptr)
+  if (log_method == nullptr || apply_method == nullptr || grow_method == nullptr || add_array_method == nullptr ||
+      wake_method == nullptr)
     return JNI_ERR;
   config::set_log_target(log);
   return JNI_VERSION_10;
@@ -230,8 +266,8 @@ JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_close(JNIEnv* env, jclass, jlo
 }
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_execute(JNIEnv* env, jclass, jlong handle, jint slot, jint input,
-                                                          jint source_task, jint size) {
-  return hand_over(env, handle, &BoltHost::execute, slot, input, source_task, size);
+                                                          jint source_task, jint size, jobjectArray arrays) {
+  return hand_over(env, handle, &BoltHost::execute, slot, input, source_task, size, arrays);
 }
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_tick(JNIEnv* env, jclass, jlong handle) {
@@ -247,8 +283,8 @@ JNIEXPORT jboolean JNICALL Java_iotcloud_storm_Native_keeps(JNIEnv*, jclass, jlo
 }
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_keep(JNIEnv* env, jclass, jlong handle, jint slot, jint input,
-                                                       jint source_task, jint size) {
-  return hand_over(env, handle, &BoltHost::keep, slot, input, source_task, size);
+                                                       jint source_task, jint size, jobjectArray arrays) {
+  return hand_over(env, handle, &BoltHost::keep, slot, input, source_task, size, arrays);
 }
 
 JNIEXPORT void JNICALL Java_iotcloud_storm_Native_requestTick(JNIEnv*, jclass, jlong handle) {

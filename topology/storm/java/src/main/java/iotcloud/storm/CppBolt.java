@@ -7,6 +7,7 @@ import java.util.List;
 import java.util.Map;
 import java.util.concurrent.ScheduledFuture;
 import org.apache.storm.Config;
+import org.apache.storm.Constants;
 import org.apache.storm.generated.GlobalStreamId;
 import org.apache.storm.task.IBolt;
 import org.apache.storm.task.OutputCollector;
@@ -26,6 +27,7 @@ public class CppBolt implements IBolt {
   private transient Slots slots;
   private transient boolean flushes;
   private transient Map<Integer, List<Source>> sources;
+  private transient boolean oneInput;
   private transient ScheduledFuture<?> ticks;
   private transient Thread keeper;
   private transient boolean closed;
@@ -56,6 +58,7 @@ public class CppBolt implements IBolt {
     collector = out;
     slots = new Slots();
     sources = sources(context);
+    oneInput = Description.inputs(context).size() == 1;
     Object batch = conf.get(Config.TOPOLOGY_PRODUCER_BATCH_SIZE);
     flushes = batch instanceof Number && ((Number) batch).intValue() > 1;
     try {
@@ -96,12 +99,14 @@ public class CppBolt implements IBolt {
 
   @Override
   public void execute(Tuple tuple) {
-    if (TupleUtils.isTick(tuple)) {
+    // The stream is at hand; the component has to be looked up.
+    if (Constants.SYSTEM_TICK_STREAM_ID.equals(tuple.getSourceStreamId()) && TupleUtils.isTick(tuple)) {
       tick();
       return;
     }
     int slot;
     int size;
+    byte[][] arrays;
     synchronized (this) {
       try {
         size = task.input.write(tuple.getValues());
@@ -111,14 +116,15 @@ public class CppBolt implements IBolt {
         collector.fail(tuple);
         return;
       }
+      arrays = task.input.arrays();
       slot = slots.put(tuple);
       if (keeper == null) {
-        task.apply(Native.execute(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size));
+        task.applyHere(Native.execute(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays));
         return;
       }
     }
     // Not in the monitor: it waits while too many tuples wait, and the keeper needs the monitor.
-    int replaced = Native.keep(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size);
+    int replaced = Native.keep(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays);
     if (replaced >= 0) {
       synchronized (this) {
         collector.ack(slots.take(replaced));
@@ -137,6 +143,9 @@ public class CppBolt implements IBolt {
   }
 
   private int inputOf(Tuple tuple) {
+    if (oneInput) {
+      return 0;
+    }
     List<Source> streams = sources.get(tuple.getSourceTask());
     if (streams.size() > 1) {
       for (Source source : streams) {
@@ -234,6 +243,11 @@ public class CppBolt implements IBolt {
     @Override
     public void emit(String stream, int to, Long id, List<Object> values) {
       throw new IllegalStateException("a bolt emits as a spout");
+    }
+
+    @Override
+    public Object kept(int slot, int place) {
+      return slots.get(slot).getValue(place);
     }
 
     @Override

@@ -58,7 +58,7 @@ public class CppGrouping implements CustomStreamGrouping {
       handle = Native.makeGrouping(
           Description.ofEmitter(file, topology, context, stream, task).getBytes(StandardCharsets.UTF_8),
           bolt.getBytes(StandardCharsets.UTF_8), input, targets);
-      writer = new ValueWriter(BUFFER_SIZE, buffer -> Native.setGroupingBuffers(handle, buffer, chosen));
+      writer = new ValueWriter(BUFFER_SIZE, false, buffer -> Native.setGroupingBuffers(handle, buffer, chosen));
     }
 
     List<Integer> choose(List<Object> values) {

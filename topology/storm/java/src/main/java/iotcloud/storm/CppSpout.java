@@ -50,19 +50,40 @@ public class CppSpout implements ISpout {
 
   @Override
   public void nextTuple() {
-    run(() -> Native.nextTuple(task.handle));
+    busy = true;
+    try {
+      task.applyHere(Native.nextTuple(task.handle));
+    } finally {
+      busy = false;
+    }
+    runLate();
   }
 
   @Override
   public void ack(Object id) {
     Sent sent = (Sent) id;
     long took = System.nanoTime() - sent.at;
-    answer(() -> Native.ack(task.handle, sent.id, took));
+    if (busy) {
+      late.add(() -> Native.ack(task.handle, sent.id, took));
+      return;
+    }
+    busy = true;
+    try {
+      task.applyHere(Native.ack(task.handle, sent.id, took));
+    } finally {
+      busy = false;
+    }
+    runLate();
   }
 
   @Override
   public void fail(Object id) {
-    answer(() -> Native.fail(task.handle, ((Sent) id).id));
+    IntSupplier call = () -> Native.fail(task.handle, ((Sent) id).id);
+    if (busy) {
+      late.add(call);
+    } else {
+      run(call);
+    }
   }
 
   @Override
@@ -83,20 +104,16 @@ public class CppSpout implements ISpout {
   private void run(IntSupplier call) {
     busy = true;
     try {
-      task.apply(call.getAsInt());
+      task.applyHere(call.getAsInt());
     } finally {
       busy = false;
     }
-    for (IntSupplier answer = late.poll(); answer != null; answer = late.poll()) {
-      run(answer);
-    }
+    runLate();
   }
 
-  private void answer(IntSupplier call) {
-    if (busy) {
-      late.add(call);
-    } else {
-      run(call);
+  private void runLate() {
+    while (!late.isEmpty()) {
+      run(late.remove());
     }
   }
 
@@ -136,6 +153,11 @@ public class CppSpout implements ISpout {
     @Override
     public void emit(String stream, int to, int[] anchors, int count, List<Object> values) {
       throw new IllegalStateException("a spout emits as a bolt");
+    }
+
+    @Override
+    public Object kept(int slot, int place) {
+      throw new IllegalStateException("a spout emits a bolt's values");
     }
 
     @Override

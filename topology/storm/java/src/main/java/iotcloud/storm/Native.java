@@ -78,7 +78,8 @@ final class Native {
 
   static native int close(long task);
 
-  static native int execute(long task, int slot, int input, int sourceTask, int size);
+  /** `arrays`: as ValueWriter's. */
+  static native int execute(long task, int slot, int input, int sourceTask, int size, byte[][] arrays);
 
   static native int tick(long task);
 
@@ -97,7 +98,7 @@ final class Native {
   static native boolean keeps(long task);
 
   /** Queues a tuple. Returns the slot of the tuple that it replaces, which Java acks, or -1. */
-  static native int keep(long task, int slot, int input, int sourceTask, int size);
+  static native int keep(long task, int slot, int input, int sourceTask, int size, byte[][] arrays);
 
   static native void requestTick(long task);
 

@@ -3,8 +3,10 @@ package iotcloud.storm;
 import java.nio.ByteBuffer;
 import java.nio.ByteOrder;
 import java.nio.charset.StandardCharsets;
+import java.util.ArrayDeque;
 import java.util.ArrayList;
 import java.util.List;
+import java.util.Queue;
 import java.util.concurrent.locks.LockSupport;
 
 /**
@@ -27,6 +29,8 @@ final class NativeTask {
   private static final byte INTEGER = 3;
   private static final byte REAL = 4;
   private static final byte STRING = 5;
+  private static final byte OF_TUPLE = 7;
+  private static final byte ARRAY = 8;
 
   /** What commands are about. */
   interface Collector {
@@ -36,6 +40,9 @@ final class NativeTask {
     void emit(String stream, int task, int[] anchors, int count, List<Object> values);
 
     void emit(String stream, int task, Long id, List<Object> values);
+
+    /** A value of a tuple that C++ has not answered yet. */
+    Object kept(int slot, int place);
 
     void answer(byte command, int slot);
 
@@ -61,6 +68,8 @@ final class NativeTask {
   private volatile Thread executor;
   private ByteBuffer output = newBuffer(BUFFER_SIZE);
   private int[] anchors = new int[16];
+  private byte[] scratch = new byte[64];
+  private final Queue<byte[]> arrays = new ArrayDeque<>();
 
   /** Makes the component in C++. */
   NativeTask(String description, List<String> streams, Collector collector) {
@@ -68,7 +77,7 @@ final class NativeTask {
     this.collector = collector;
     this.executor = Thread.currentThread();
     handle = Native.makeTask(this, description.getBytes(StandardCharsets.UTF_8), output);
-    input = new ValueWriter(BUFFER_SIZE, buffer -> Native.setInput(handle, buffer));
+    input = new ValueWriter(BUFFER_SIZE, true, buffer -> Native.setInput(handle, buffer));
   }
 
   private static ByteBuffer newBuffer(long size) {
@@ -79,6 +88,11 @@ final class NativeTask {
   ByteBuffer grow(long size) {
     output = newBuffer(size);
     return output;
+  }
+
+  /** Called by C++: a value of the next command that it writes. */
+  void addArray(byte[] array) {
+    arrays.add(array);
   }
 
   /** Called by C++, on any thread, when a spout has something to emit. */
@@ -92,11 +106,12 @@ final class NativeTask {
    */
   void apply(int size) {
     synchronized (collector.monitor()) {
-      applyAll(size);
+      applyHere(size);
     }
   }
 
-  private void applyAll(int size) {
+  /** As apply(), by a thread that has the monitor, or that alone calls this task. */
+  void applyHere(int size) {
     output.clear().limit(size);
     while (output.hasRemaining()) {
       byte command = output.get();
@@ -108,7 +123,7 @@ final class NativeTask {
           emitOfSpout();
           break;
         case ERROR:
-          collector.reportError(new ComponentError(new String(bytes(), StandardCharsets.UTF_8)));
+          collector.reportError(new ComponentError(text()));
           break;
         case ACK:
         case FAIL:
@@ -165,10 +180,23 @@ final class NativeTask {
       case REAL:
         return output.getDouble();
       case STRING:
-        return new String(bytes(), StandardCharsets.UTF_8);
+        return text();
+      case OF_TUPLE:
+        return collector.kept(output.getInt(), output.getInt());
+      case ARRAY:
+        return arrays.remove();
       default:
         return bytes();
     }
+  }
+
+  private String text() {
+    int size = output.getInt();
+    if (size > scratch.length) {
+      scratch = new byte[size];
+    }
+    output.get(scratch, 0, size);
+    return new String(scratch, 0, size, StandardCharsets.UTF_8);
   }
 
   private byte[] bytes() {

@@ -4,6 +4,7 @@ import java.nio.BufferOverflowException;
 import java.nio.ByteBuffer;
 import java.nio.ByteOrder;
 import java.nio.charset.StandardCharsets;
+import java.util.ArrayList;
 import java.util.List;
 import java.util.function.Consumer;
 
@@ -16,12 +17,20 @@ final class ValueWriter {
   private static final byte REAL = 4;
   private static final byte STRING = 5;
   private static final byte PAYLOAD = 6;
+  private static final byte ARRAY = 8;
+  private static final int LEAST_ARRAY = 16 << 10;
 
+  private final boolean apart;
   private final Consumer<ByteBuffer> replaced;
+  private final List<byte[]> arrays = new ArrayList<>();
   private ByteBuffer buffer;
 
-  /** `replaced` gets the first buffer, and each larger one that takes its place. */
-  ValueWriter(int size, Consumer<ByteBuffer> replaced) {
+  /**
+   * `apart`: large payloads do not go into the buffer, but among arrays(). `replaced` gets the first buffer, and each larger
+   * one that takes its place.
+   */
+  ValueWriter(int size, boolean apart, Consumer<ByteBuffer> replaced) {
+    this.apart = apart;
     this.replaced = replaced;
     replace(size);
   }
@@ -35,6 +44,7 @@ final class ValueWriter {
   int write(List<Object> values) {
     while (true) {
       try {
+        arrays.clear();
         buffer.clear();
         buffer.putInt(values.size());
         for (int i = 0; i < values.size(); i++) {
@@ -47,13 +57,23 @@ final class ValueWriter {
     }
   }
 
+  /** The payloads that are not in the buffer, of the last write(); null: none. */
+  byte[][] arrays() {
+    if (arrays.isEmpty()) {
+      return null;
+    }
+    byte[][] taken = arrays.toArray(new byte[0][]);
+    arrays.clear();
+    return taken;
+  }
+
   private void write(Object value, int place) {
     if (value instanceof Long || value instanceof Integer || value instanceof Short || value instanceof Byte) {
       buffer.put(INTEGER).putLong(((Number) value).longValue());
     } else if (value instanceof String) {
       bytes(STRING, ((String) value).getBytes(StandardCharsets.UTF_8));
     } else if (value instanceof byte[]) {
-      bytes(PAYLOAD, (byte[]) value);
+      payload((byte[]) value);
     } else if (value instanceof Double || value instanceof Float) {
       buffer.put(REAL).putDouble(((Number) value).doubleValue());
     } else if (value instanceof Boolean) {
@@ -62,6 +82,15 @@ final class ValueWriter {
       buffer.put(NULL);
     } else {
       throw new NoValue(place, value.getClass());
+    }
+  }
+
+  private void payload(byte[] bytes) {
+    if (apart && bytes.length >= LEAST_ARRAY) {
+      buffer.put(ARRAY);
+      arrays.add(bytes);
+    } else {
+      bytes(PAYLOAD, bytes);
     }
   }
 
