@@ -11,6 +11,7 @@
 #include <jni.h>
 
 #include <iotcloud/config/log_settings.h>
+#include <iotcloud/config/memory.h>
 #include <iotcloud/topology/storm/shim/answer_queue.h>
 #include <iotcloud/topology/storm/shim/bolt_host.h>
 #include <iotcloud/topology/storm/shim/component_source.h>
@@ -23,6 +24,9 @@ namespace {
 using namespace iotcloud::topology::storm;
 using iotcloud::topology::Payload;
 namespace config = iotcloud::config;
+
+/// Of each arena. Less than other processes keep: a JVM's compilers take and free much, too.
+constexpr std::size_t most_freed_memory = std::size_t{16} << 20;
 
 JavaVM* machine = nullptr;
 jclass native_class = nullptr;     // iotcloud.storm.Native
@@ -226,6 +230,7 @@ JNIEXPORT jint JNICALL JNI_OnLoad(JavaVM* vm, void*) {
       wake_method == nullptr)
     return JNI_ERR;
   config::set_log_target(log);
+  config::keep_freed_memory(most_freed_memory);
   return JNI_VERSION_10;
 }
 
