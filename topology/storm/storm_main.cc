@@ -58,6 +58,7 @@ struct Words {
   storm::StormCall call;
   std::string file;
   std::string jar;
+  std::string onto;
   std::string name;
   std::string window = ":all-time";
   std::vector<std::string> executors;
@@ -98,9 +99,15 @@ void Words::declare(CLI::App& app) {
     made->add_option("FILE", file, "the topology's YAML file")->required()->check(CLI::ExistingFile);
     return made;
   };
-  with_file(add(app, "pack", "make a jar of a topology, for `storm jar`", [&] { return storm::pack(call, file, jar); }))
-      ->add_option("JAR", jar, "the jar")
-      ->required();
+  CLI::App* pack =
+      add(app, "pack", "make a jar of a topology, or of a component library for Flux and Java, for `storm jar`",
+          [&] { return storm::pack(call, file, jar, onto); });
+  pack->add_option("FILE", file, "the topology's YAML file, or a component library (.so)")
+      ->required()
+      ->check(CLI::ExistingFile);
+  pack->add_option("JAR", jar, "the jar")->required();
+  pack->add_option("--onto", onto, "a jar that is taken along, with components in Java and Python, and Flux")
+      ->check(CLI::ExistingFile);
   CLI::App* submit = of_cluster(with_file(add(app, "submit", "send a topology to Storm, and wait until it runs",
                                               [&] { return storm::submit(call, file, workers, seconds(limit_s)); })));
   submit->add_option("--workers", workers, "worker processes")->check(CLI::Range(1, 10'000));

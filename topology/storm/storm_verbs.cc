@@ -202,10 +202,13 @@ std::size_t workers_of(const TopologyDetails& details) {
 
 }  // namespace
 
-int pack(const StormCall& call, const std::string& file, const std::string& jar) {
-  const Job job = checked_job(call, file);
-  tell_contents(write_jar(job, ShimFiles::find(), jar));
-  fmt::print("{}: submit it with `storm jar {}`\n", jar, jar);
+int pack(const StormCall& call, const std::string& file, const std::string& jar, const std::string& onto) {
+  const bool library = fs::path(file).extension() == ".so";
+  const Job job = library ? make_library_job(file) : checked_job(call, file);
+  tell_contents(write_jar(job, ShimFiles::find(), jar, onto));
+  fmt::print(
+      "{}: submit it with `storm jar {}{}\n", jar, jar,
+      library ? " CLASS ...`, where CLASS is your main class, or that of Flux, org.apache.storm.flux.Flux" : "`");
   return 0;
 }
 

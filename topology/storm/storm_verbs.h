@@ -18,7 +18,8 @@ struct StormCall {
 
 // Each prints to stdout what it did, and notes and progress to stderr. \return the exit status. \throws config::Error
 
-int pack(const StormCall& call, const std::string& file, const std::string& jar);
+/// \param file a topology's, or a component library (.so) for Flux and Java. \param onto a jar that is taken along
+int pack(const StormCall& call, const std::string& file, const std::string& jar, const std::string& onto);
 /// \param limit for how long it waits until all tasks run; 0: not at all
 int submit(const StormCall& call, const std::string& file, std::optional<int> workers, std::chrono::seconds limit);
 int list(const StormCall& call);

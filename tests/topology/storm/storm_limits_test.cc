@@ -5,6 +5,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/topology/definition/assemble.h>
+#include <iotcloud/topology/storm/job/classes.h>
 #include <iotcloud/topology/storm/job/job.h>
 #include <iotcloud/topology/storm/job/storm_limits.h>
 
@@ -162,6 +163,18 @@ TEST(StormConf, HasWhatTheFileSays) {
         "\"topology.x\":\"text\"", "\"-XX:ErrorFile=artifacts/hs_err_%p.log -Xmx1g\""}) {
     EXPECT_THAT(conf, HasSubstr(part));
   }
+}
+
+TEST(StormClasses, AreThoseThatALibraryRegistersWithTheirStreams) {
+  const std::string classes = classes_of(COMPONENTS_LIBRARY);
+  EXPECT_THAT(classes, HasSubstr(R"("test.Numbers":{"default":{"fields":["n","key","payload","text"],"direct":false},)"
+                                 R"("chosen":{"fields":["n","key"],"direct":true}})"));
+  EXPECT_THAT(classes, HasSubstr(R"("test.Count":{})"));
+  EXPECT_THAT(classes, HasSubstr(R"("grouping":{"test.ByNumber":{}})"));
+}
+
+TEST(StormClasses, ComeFromALibraryOnly) {
+  EXPECT_THAT([] { static_cast<void>(classes_of("/usr/bin/env")); }, testing::Throws<config::Error>());
 }
 
 }  // namespace

@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cstring>
 #include <deque>
+#include <filesystem>
 #include <functional>
 #include <memory>
 #include <string>
@@ -14,6 +15,7 @@
 
 #include <iotcloud/rpc/http/http_client.h>
 #include <iotcloud/topology/storm/shim/bolt_host.h>
+#include <iotcloud/topology/storm/shim/grouping_host.h>
 #include <iotcloud/topology/storm/shim/spout_host.h>
 #include <iotcloud/topology/storm/shim/worker_pages.h>
 #include <iotcloud/topology/storm/value_format.h>
@@ -480,6 +482,30 @@ TEST(StormSpoutHost, EmitsAndIsWoken) {
                                         "error next_tuple() threw: no more", "emit stream 1 id 6: acked"));
   spout->waker.wake();
   EXPECT_EQ(java.wakes, 1);
+}
+
+/// An emitting task whose stream has a grouping of the library of components.cc, which Flux or Java named.
+TaskDescription emitter_for(const std::string& grouping) {
+  const std::filesystem::path library = COMPONENTS_LIBRARY;
+  TaskDescription task = described();
+  task.file = "";
+  task.folder = library.parent_path();
+  task.library = library.filename();
+  task.class_name = grouping;
+  task.outputs = {{{"b", "default", Fields{"key", "n"}, false}, false, {}}};
+  return task;
+}
+
+TEST(StormGroupingHost, ChoosesByAClassOfALibrary) {
+  GroupingHost host(emitter_for("test.ByNumber"), "", 0, {5, 6, 7});
+  std::int32_t chosen[3] = {};
+  EXPECT_EQ(host.choose(bytes_of(Values("k", 4)), chosen), 1);
+  EXPECT_EQ(chosen[0], 6);
+}
+
+TEST(StormGroupingHost, SaysThatALibraryHasNoSuchGrouping) {
+  EXPECT_THAT([] { GroupingHost(emitter_for("test.ByNumbers"), "", 0, {5}); },
+              testing::ThrowsMessage<config::Error>(HasSubstr("registers no grouping \"test.ByNumbers\"")));
 }
 
 TEST(StormTaskDescription, IsReadFromJson) {

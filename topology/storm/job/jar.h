@@ -24,8 +24,9 @@ struct JarContents {
 };
 
 /// Writes the jar of a job: the classes, the libraries with what they need (below resources/, from where Storm's
-/// workers load them), the topology's file, and the job itself for `storm jar`.
+/// workers load them) and what they register, the topology's file, and the job itself for `storm jar`.
+/// \param onto a jar whose contents go into it, too: components in Java and Python, and Flux; empty: none
 /// \throws config::Error when it cannot be written, or two libraries have one name.
-JarContents write_jar(const Job& job, const ShimFiles& shim, const std::string& file);
+JarContents write_jar(const Job& job, const ShimFiles& shim, const std::string& file, const std::string& onto = "");
 
 }  // namespace iotcloud::topology::storm

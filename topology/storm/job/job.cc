@@ -1,4 +1,5 @@
 #include <chrono>
+#include <filesystem>
 
 #include <nlohmann/json.hpp>
 
@@ -81,6 +82,12 @@ Job make_job(const std::string& file, const std::vector<std::string>& folders) {
     job.conf = storm_conf(definition);
     job.topology = to_storm(definition, topology);
   });
+  return job;
+}
+
+Job make_library_job(const std::string& library) {
+  Job job;
+  job.libraries = {std::filesystem::absolute(library)};
   return job;
 }
 

@@ -13,7 +13,7 @@ struct Job {
   std::string name;
   std::string conf;                    ///< Storm's configuration of the topology, JSON
   std::string topology;                ///< a StormTopology of nimbus/storm.thrift, in Thrift's binary protocol
-  std::string file;                    ///< the topology's YAML
+  std::string file;                    ///< the topology's YAML; empty: component libraries alone, for Flux and Java
   std::vector<std::string> libraries;  ///< paths of its component libraries
   std::vector<std::string> nimbus;     ///< host:port of Storm's masters, if the file names them
   std::vector<std::string> notes;      ///< what holds on Storm in another way, a line for each
@@ -23,6 +23,9 @@ struct Job {
 /// what Storm lacks (storm_limits.h); contacts nobody. \param folders where libraries are that are not beside the file.
 /// \throws config::ConfigError
 Job make_job(const std::string& file, const std::vector<std::string>& folders);
+
+/// Component libraries alone, which a Flux file or a Java program names.
+Job make_library_job(const std::string& library);
 
 /// The graph as a StormTopology, in Thrift's binary protocol.
 std::string to_storm(const TopologyDefinition& definition, const Topology& topology);

@@ -66,7 +66,7 @@ std::set<std::pair<std::string, std::string>> streams_with_births(const Topology
   return streams;
 }
 
-idl::Grouping grouping_of(const Topology& topology, const ComponentSpec& bolt, std::size_t number_of_input) {
+idl::Grouping grouping_of(const ComponentSpec& bolt, std::size_t number_of_input) {
   const InputSpec& input = bolt.inputs[number_of_input];
   idl::Grouping grouping;
   if (input.grouping == "shuffle") {
@@ -88,8 +88,8 @@ idl::Grouping grouping_of(const Topology& topology, const ComponentSpec& bolt, s
     for (const std::string& field : input.fields) lines += (lines.empty() ? "" : "\n") + field;
     grouping.__set_custom_object(object("PartialKey", {text(lines)}));
   } else {
-    grouping.__set_custom_object(object("CppGrouping", {text(topology_file), text(topology.name), text(bolt.id),
-                                                        number(static_cast<std::int32_t>(number_of_input))}));
+    grouping.__set_custom_object(object(
+        "CppGrouping", {text(topology_file), text(bolt.id), number(static_cast<std::int32_t>(number_of_input))}));
   }
   return grouping;
 }
@@ -101,7 +101,7 @@ idl::ComponentCommon common_of(const Topology& topology, const ComponentSpec& co
     idl::GlobalStreamId from;
     from.componentId = component.inputs[i].from;
     from.streamId = component.inputs[i].stream;
-    common.inputs[from] = grouping_of(topology, component, i);
+    common.inputs[from] = grouping_of(component, i);
   }
   for (const auto& [name, stream] : topology.streams.at(component.id)) {
     idl::StreamInfo info;

@@ -108,7 +108,15 @@ Component component_of(const TaskDescription& task) {
   return {std::move(spec), nullptr};
 }
 
-std::unique_ptr<Grouping> grouping_of(const std::string& file, const std::string& bolt, std::size_t input) {
+std::unique_ptr<Grouping> grouping_of(const TaskDescription& emitter, const std::string& bolt, std::size_t input) {
+  const fs::path folder = emitter.folder;
+  if (emitter.file.empty()) {
+    const std::string library = folder / emitter.library;
+    const GroupingFactory* made = sources().registry_of(library).grouping(emitter.class_name);
+    if (made == nullptr) throw config::Error(library + " registers no grouping \"" + emitter.class_name + "\"");
+    return (*made)();
+  }
+  const std::string file = folder / emitter.file;
   const ComponentSpec& spec = find(sources().read(file).topology, bolt, file);
   if (input >= spec.inputs.size() || !spec.inputs[input].factory) {
     throw config::Error(file + ": bolt \"" + bolt + "\" has no grouping for its input " + std::to_string(input));

@@ -23,8 +23,9 @@ struct Component {
 /// Thread safe. \throws config::Error for a file or library that cannot be used, and for a component that is not in it.
 Component component_of(const TaskDescription& task);
 
-/// A custom grouping of the topology's file, made anew. \param input the number of the bolt's input. \throws
-/// config::Error as component_of().
-std::unique_ptr<Grouping> grouping_of(const std::string& file, const std::string& bolt, std::size_t input);
+/// A custom grouping, made anew: of an input of a bolt of the topology's file, or of a component library alone.
+/// \param emitter says which file, or which library and class. \param input the number of the bolt's input.
+/// \throws config::Error as component_of().
+std::unique_ptr<Grouping> grouping_of(const TaskDescription& emitter, const std::string& bolt, std::size_t input);
 
 }  // namespace iotcloud::topology::storm

@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <filesystem>
 #include <stdexcept>
 #include <utility>
 
@@ -25,7 +24,7 @@ TopologyContext complete_context(const TaskDescription& emitter) {
 GroupingHost::GroupingHost(const TaskDescription& emitter, const std::string& bolt, std::size_t input,
                            std::vector<int> targets)
     : targets_(std::move(targets)), emitter_(complete_context(emitter)), stream_(emitter.outputs.front()) {
-  grouping_ = grouping_of(std::filesystem::path(emitter.folder) / emitter.file, bolt, input);
+  grouping_ = grouping_of(emitter, bolt, input);
   grouping_->prepare(emitter_, stream_.fields, targets_);
 }
 

@@ -2,6 +2,7 @@ package iotcloud.storm;
 
 import java.util.AbstractList;
 import java.util.ArrayList;
+import java.util.Collections;
 import java.util.HashMap;
 import java.util.List;
 import java.util.Map;
@@ -9,9 +10,9 @@ import java.util.concurrent.ScheduledFuture;
 import org.apache.storm.Config;
 import org.apache.storm.Constants;
 import org.apache.storm.generated.GlobalStreamId;
-import org.apache.storm.task.IBolt;
 import org.apache.storm.task.OutputCollector;
 import org.apache.storm.task.TopologyContext;
+import org.apache.storm.topology.IRichBolt;
 import org.apache.storm.tuple.Tuple;
 import org.apache.storm.utils.TupleUtils;
 
@@ -19,9 +20,8 @@ import org.apache.storm.utils.TupleUtils;
  * A bolt of C++. Storm's executor, the thread of ticks and the thread of answers call it, each under its monitor, in which
  * it alone emits and answers. A bolt that keeps only the newest tuples of an input runs on a thread of its own instead.
  */
-public class CppBolt implements IBolt {
+public class CppBolt extends CppComponent implements IRichBolt {
   private static final long serialVersionUID = 1;
-  private final Origin origin;
   private transient OutputCollector collector;
   private transient NativeTask task;
   private transient Slots slots;
@@ -34,12 +34,17 @@ public class CppBolt implements IBolt {
 
   /** The component of the topology's file whose id is this component's. */
   public CppBolt(String file) {
-    origin = new Origin(file);
+    super(file);
   }
 
-  /** The class of a component library; `conf` is a JSON object. */
-  public CppBolt(String library, String className, String conf) {
-    origin = new Origin(library, className, conf);
+  /** A class of a component library, for Flux and Java. */
+  public CppBolt(String library, String className) {
+    this(library, className, Collections.emptyMap());
+  }
+
+  /** The same; `conf` has texts, numbers and booleans. */
+  public CppBolt(String library, String className, Map<String, ?> conf) {
+    super("bolt", library, className, conf);
   }
 
   /** A stream that feeds the bolt. */
@@ -63,7 +68,7 @@ public class CppBolt implements IBolt {
     flushes = batch instanceof Number && ((Number) batch).intValue() > 1;
     try {
       Native.load(Description.folder(context));
-      task = new NativeTask(Description.of(origin, (String) conf.get(Config.TOPOLOGY_NAME), context),
+      task = new NativeTask(Description.of(origin, context),
           Description.outputs(context), new BoltCollector());
       if (Native.isSpout(task.handle)) {
         throw new IllegalArgumentException(context.getThisComponentId() + " is a spout in C++, not a bolt");

@@ -4,6 +4,7 @@ import java.nio.ByteBuffer;
 import java.nio.ByteOrder;
 import java.nio.charset.StandardCharsets;
 import java.util.ArrayList;
+import java.util.Collections;
 import java.util.List;
 import java.util.Map;
 import java.util.concurrent.ConcurrentHashMap;
@@ -16,8 +17,7 @@ import org.apache.storm.task.WorkerTopologyContext;
 public class CppGrouping implements CustomStreamGrouping {
   private static final long serialVersionUID = 1;
   private static final int BUFFER_SIZE = 1 << 16;
-  private final String file;
-  private final String topology;
+  private final Origin origin;
   private final String bolt;
   private final int input;
   private transient WorkerTopologyContext context;
@@ -26,11 +26,18 @@ public class CppGrouping implements CustomStreamGrouping {
   private transient Map<Integer, Emitter> emitters;
 
   /** The grouping of one input of a bolt of the topology's file. */
-  public CppGrouping(String file, String topology, String bolt, Integer input) {
-    this.file = file;
-    this.topology = topology;
+  public CppGrouping(String file, String bolt, Integer input) {
+    this.origin = new Origin(file);
     this.bolt = bolt;
     this.input = input;
+  }
+
+  /** A class of a component library, for Flux and Java. */
+  public CppGrouping(String library, String className) {
+    Library.read(library).requireGrouping(className);
+    this.origin = new Origin(library, className, Collections.emptyMap());
+    this.bolt = "";
+    this.input = 0;
   }
 
   @Override
@@ -56,7 +63,7 @@ public class CppGrouping implements CustomStreamGrouping {
 
     Emitter(int task) {
       handle = Native.makeGrouping(
-          Description.ofEmitter(file, topology, context, stream, task).getBytes(StandardCharsets.UTF_8),
+          Description.ofEmitter(origin, context, stream, task).getBytes(StandardCharsets.UTF_8),
           bolt.getBytes(StandardCharsets.UTF_8), input, targets);
       writer = new ValueWriter(BUFFER_SIZE, false, buffer -> Native.setGroupingBuffers(handle, buffer, chosen));
     }

@@ -1,34 +1,38 @@
 package iotcloud.storm;
 
 import java.util.ArrayDeque;
+import java.util.Collections;
 import java.util.List;
 import java.util.Map;
 import java.util.Queue;
 import java.util.function.IntSupplier;
-import org.apache.storm.Config;
-import org.apache.storm.spout.ISpout;
 import org.apache.storm.spout.SpoutOutputCollector;
 import org.apache.storm.task.TopologyContext;
+import org.apache.storm.topology.IRichSpout;
 
 /**
  * A spout of C++. Only Storm's executor calls it, so nothing emits from another thread. Without ackers Storm calls ack()
  * inside of an emit; C++ hears of it after the call that emitted.
  */
-public class CppSpout implements ISpout {
+public class CppSpout extends CppComponent implements IRichSpout {
   private static final long serialVersionUID = 1;
-  private final Origin origin;
   private transient NativeTask task;
   private transient boolean busy;
   private transient Queue<IntSupplier> late;
 
   /** The component of the topology's file whose id is this component's. */
   public CppSpout(String file) {
-    origin = new Origin(file);
+    super(file);
   }
 
-  /** The class of a component library; `conf` is a JSON object. */
-  public CppSpout(String library, String className, String conf) {
-    origin = new Origin(library, className, conf);
+  /** A class of a component library, for Flux and Java. */
+  public CppSpout(String library, String className) {
+    this(library, className, Collections.emptyMap());
+  }
+
+  /** The same; `conf` has texts, numbers and booleans. */
+  public CppSpout(String library, String className, Map<String, ?> conf) {
+    super("spout", library, className, conf);
   }
 
   @Override
@@ -36,7 +40,7 @@ public class CppSpout implements ISpout {
     try {
       late = new ArrayDeque<>();
       Native.load(Description.folder(context));
-      task = new NativeTask(Description.of(origin, (String) conf.get(Config.TOPOLOGY_NAME), context),
+      task = new NativeTask(Description.of(origin, context),
           Description.outputs(context), new Emitter(collector));
       if (!Native.isSpout(task.handle)) {
         throw new IllegalArgumentException(context.getThisComponentId() + " is a bolt in C++, not a spout");

@@ -8,6 +8,7 @@ import java.util.LinkedHashMap;
 import java.util.List;
 import java.util.Map;
 import java.util.TreeMap;
+import org.apache.storm.Config;
 import org.apache.storm.generated.GlobalStreamId;
 import org.apache.storm.generated.Grouping;
 import org.apache.storm.shade.net.minidev.json.JSONValue;
@@ -47,7 +48,7 @@ final class Description {
     return streams;
   }
 
-  static String of(Origin origin, String topology, TopologyContext context) {
+  static String of(Origin origin, TopologyContext context) {
     String component = context.getThisComponentId();
     List<Object> inputs = new ArrayList<>();
     for (GlobalStreamId source : inputs(context)) {
@@ -68,17 +69,17 @@ final class Description {
       output.put("targets", direct ? readers(context, stream) : Collections.emptyList());
       outputs.add(output);
     }
-    return json(origin, topology, context, component, context.getThisTaskId(), inputs, outputs);
+    return json(origin, context, component, context.getThisTaskId(), inputs, outputs);
   }
 
   /** Of a task that emits to a stream with a grouping of ours. */
-  static String ofEmitter(String file, String topology, WorkerTopologyContext context, GlobalStreamId stream, int task) {
+  static String ofEmitter(Origin origin, WorkerTopologyContext context, GlobalStreamId stream, int task) {
     String component = stream.get_componentId();
     Map<String, Object> output = stream(component, stream.get_streamId(),
         context.getComponentOutputFields(component, stream.get_streamId()).toList());
     output.put("direct", false);
     output.put("targets", Collections.emptyList());
-    return json(new Origin(file), topology, context, component, task, Collections.emptyList(),
+    return json(origin, context, component, task, Collections.emptyList(),
         Collections.singletonList(output));
   }
 
@@ -118,7 +119,7 @@ final class Description {
     return tasks;
   }
 
-  private static String json(Origin origin, String topology, WorkerTopologyContext context, String component, int task,
+  private static String json(Origin origin, WorkerTopologyContext context, String component, int task,
       Collection<Object> inputs, Collection<Object> outputs) {
     Map<String, Object> all = new LinkedHashMap<>();
     all.put("folder", folder(context));
@@ -126,7 +127,7 @@ final class Description {
     all.put("library", origin.library);
     all.put("class", origin.className);
     all.put("conf", origin.conf);
-    all.put("topology", topology);
+    all.put("topology", context.getConf().get(Config.TOPOLOGY_NAME));
     all.put("component", component);
     all.put("task", task);
     all.put("tasks", tasks(context));

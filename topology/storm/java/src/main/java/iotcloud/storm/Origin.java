@@ -4,8 +4,6 @@ import java.io.Serializable;
 import java.util.Collections;
 import java.util.HashMap;
 import java.util.Map;
-import org.apache.storm.shade.net.minidev.json.JSONObject;
-import org.apache.storm.shade.net.minidev.json.JSONValue;
 
 /** Where a component's code is: in a topology's file, or in a component library; both are below resources/ in the jar. */
 final class Origin implements Serializable {
@@ -19,8 +17,8 @@ final class Origin implements Serializable {
     this(file, "", "", Collections.emptyMap());
   }
 
-  /** `conf` is a JSON object of strings, numbers and booleans. */
-  Origin(String library, String className, String conf) {
+  /** `conf` has texts, numbers and booleans. */
+  Origin(String library, String className, Map<String, ?> conf) {
     this("", library, className, texts(conf));
   }
 
@@ -31,13 +29,15 @@ final class Origin implements Serializable {
     this.conf = new HashMap<>(conf);
   }
 
-  private static Map<String, String> texts(String conf) {
+  private static Map<String, String> texts(Map<String, ?> conf) {
     Map<String, String> texts = new HashMap<>();
-    Object read = JSONValue.parse(conf);
-    if (!(read instanceof JSONObject)) {
-      throw new IllegalArgumentException("the component's conf is no JSON object: " + conf);
-    }
-    ((JSONObject) read).forEach((key, value) -> texts.put(key, String.valueOf(value)));
+    conf.forEach((key, value) -> {
+      if (!(value instanceof String || value instanceof Number || value instanceof Boolean)) {
+        throw new IllegalArgumentException("conf of a C++ component: \"" + key + "\" is " + value
+            + "; write a text, a number or a boolean");
+      }
+      texts.put(key, value.toString());
+    });
     return texts;
   }
 }
