@@ -4,14 +4,11 @@ answers from other threads; what `iotcloud-storm` says of them.
 
 usage: components_run_on_storm.py BUILD LIBRARY     (BUILD: build/release; LIBRARY: the library of components.cc)
 """
-import subprocess
 import sys
 import zipfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
-from private_server import java_environment  # noqa: E402
-from storm_case import StormCase, run  # noqa: E402
+from storm_case import StormCase, run
 
 COUNT = 4000
 TASKS = 4
@@ -87,10 +84,7 @@ class ComponentsOnStorm(StormCase):
                      "resources/libyaml-cpp.so.0.7", "iotcloud/storm/CppBolt.class"):
             self.assertIn(name, names)
         self.assertNotIn("resources/libc.so.6", names)
-        # As the command `storm jar` does it.
-        done = subprocess.run(["java", "-Dstorm.jar=%s" % jar, "-cp", "%s/lib-worker/*:%s:%s/conf" % (
-            self.storm.folder, jar, self.storm.folder), "iotcloud.storm.Submit"], capture_output=True, text=True, check=False,
-                              env=java_environment())
+        done = self.storm_jar(jar, "iotcloud.storm.Submit")
         self.assertEqual(done.returncode, 0, done.stdout + done.stderr)
         self.assertIn("packed", [row["name"] for row in self.table("list")])
         self.ask("kill", "packed", "--wait", "0")

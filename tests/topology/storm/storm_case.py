@@ -10,7 +10,7 @@ import unittest
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
-from private_server import Unavailable  # noqa: E402
+from private_server import Unavailable, java_environment  # noqa: E402
 from storm import Storm  # noqa: E402
 import storm_jar  # noqa: E402
 
@@ -24,6 +24,11 @@ class StormCase(unittest.TestCase):
     limit_s = 120  # for each wait
 
     @classmethod
+    def make_jars(cls):
+        """Makes, with Maven, what the tests need. Raises Unavailable when it cannot be had."""
+        storm_jar.build()
+
+    @classmethod
     def setUpClass(cls):
         cls.place = tempfile.TemporaryDirectory(prefix="iotcloud-storm-")
         cls.addClassCleanup(cls.place.cleanup)
@@ -33,6 +38,12 @@ class StormCase(unittest.TestCase):
 
     def run_program(self, *words):
         return subprocess.run([self.build / "bin" / "iotcloud-storm", *words], text=True, capture_output=True, check=False)
+
+    def storm_jar(self, jar, main, *words):
+        """As the command `storm jar` of Storm does it."""
+        return subprocess.run(["java", "-Dstorm.jar=%s" % jar, "-cp", "%s/lib-worker/*:%s:%s/conf" % (
+            self.storm.folder, jar, self.storm.folder), main, *words], capture_output=True, text=True, check=False,
+                              env=java_environment())
 
     def ask(self, *words):
         done = self.run_program(*words, "--nimbus", self.storm.url())
@@ -71,7 +82,7 @@ def run(case, build, library):
     """Runs the tests of a StormCase. Returns the exit status of the program."""
     case.build, case.library = Path(build), Path(library)
     try:
-        storm_jar.build()
+        case.make_jars()
         tests = unittest.defaultTestLoader.loadTestsFromTestCase(case)
         return 0 if unittest.TextTestRunner().run(tests).wasSuccessful() else 1
     except Unavailable as reason:
