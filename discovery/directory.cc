@@ -121,7 +121,7 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
 
   void judge(const InstanceId& id, std::optional<bool> chosen, const DriverRecord* record) IOTCLOUD_REQUIRES(turn) {
     if (callbacks.on_choice) callbacks.on_choice(id, chosen);
-    if (callbacks.on_record && !over) callbacks.on_record(id, record);
+    if (callbacks.on_record && !over) callbacks.on_record(id, record, chosen.value_or(false));
   }
 
   void on_channels(const InstanceId& id, const Names& names) IOTCLOUD_REQUIRES(turn) {

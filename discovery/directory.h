@@ -27,7 +27,7 @@ class DriverDirectory {
     std::function<void(const InstanceId& instance, std::optional<bool> chosen)> on_choice{};
     /// The same, with what the record says, whether `where` selects the instance or not. May be empty.
     /// \param record null: the record is gone; valid during the call only
-    std::function<void(const InstanceId& instance, const DriverRecord* record)> on_record{};
+    std::function<void(const InstanceId& instance, const DriverRecord* record, bool chosen)> on_record{};
     /// The record of an active, selected instance names its channels, and the wanted one is not among them. May be
     /// empty.
     std::function<void(const InstanceId& instance, const std::vector<ChannelRecord>& channels)> on_missing{};

@@ -262,7 +262,7 @@ TEST_F(Directory, ReportsTheStatesOfAllInstancesChosenOrNot) {
     put(*writer_, paths_.instance("turtle"_driver, "1"_instance), encode(driver("1", state)));
   };
   DriverDirectory::Callbacks callbacks;
-  callbacks.on_record = [this](const InstanceId& instance, const DriverRecord* record) {
+  callbacks.on_record = [this](const InstanceId& instance, const DriverRecord* record, bool) {
     seen_.add(instance + " " + (record ? to_string(record->state) : "gone"));
   };
   tell(DriverState::starting);

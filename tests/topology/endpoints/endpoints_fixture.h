@@ -77,6 +77,7 @@ struct Gate {
   }
 };
 
+/// Answers the sender, or, if the text is "TEXT@ID", the driver instance ID.
 class GateBolt final : public BasicBolt {
  public:
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
@@ -89,7 +90,10 @@ class GateBolt final : public BasicBolt {
       Gate::changed.notify_all();
       Gate::changed.wait(lock, [] { return Gate::open; });
     }
-    collector.emit(Values(tuple.at("text"), tuple.at("driverID"), tuple.at("time")));
+    const auto& text = tuple.get<std::string>("text");
+    const auto mark = text.find('@');
+    const Value to = mark == std::string::npos ? tuple.at("driverID") : Value(text.substr(mark + 1));
+    collector.emit(Values(text.substr(0, mark), to, tuple.at("time")));
   }
 };
 

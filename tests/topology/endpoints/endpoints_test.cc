@@ -245,7 +245,7 @@ TEST_F(Endpoints, CountTuplesForDriversThatAreNotThereAndGoOn) {
   run();
   show_driver("one");
   const auto publisher = device("one");
-  publisher->publish(message("lost", "nobody"));
+  publisher->publish(message("lost@nobody", "one"));
   publisher->publish(message("found", "one"));
   ASSERT_TRUE(mailbox.wait_for(1));
   EXPECT_THAT(mailbox.texts(), ElementsAre("found"));
@@ -260,14 +260,14 @@ TEST_F(Endpoints, CountTuplesForADriverThatWentAndSayItOnceWithItsName) {
   show_driver("gone");
   const auto publisher = device("one");
   Mailbox reader(*broker_, topic("gone", "down"));
-  publisher->publish(message("hello", "gone"));
+  publisher->publish(message("hello@gone", "one"));
   ASSERT_TRUE(reader.wait_for(1));  // the way to it is known
   discovery::remove_tree(*registry_, paths_.instance("d"_driver, "gone"_instance));
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
   testing::internal::CaptureStderr();
   int sent = 0;
   const auto log = [&] {
-    publisher->publish(message("lost", "gone"));
+    publisher->publish(message("lost@gone", "one"));
     ++sent;
     return metric("iotcloud_bolt_unknown_driver_total") >= 5;
   };
@@ -307,7 +307,7 @@ TEST_F(Endpoints, HoldADriversFirstMessageUntilItsChannelIsKnown) {
   run();
   show_driver("one");
   const auto publisher = device("one");
-  publisher->publish(message("early", "late"));
+  publisher->publish(message("early@late", "one"));
   ASSERT_TRUE(eventually([&] { return metric("iotcloud_spout_received_total") == 1; }));
   show_driver("late");
   ASSERT_TRUE(mailbox.wait_for(1));
@@ -318,7 +318,7 @@ TEST_F(Endpoints, RejectWhatFailsForGoodWhenTheDriverIsUnknownAndThePolicySaysFa
   run("{requeue: false}", "{unknownDriver: fail}");
   show_driver("one");
   const auto publisher = device("one");
-  publisher->publish(message("lost", "nobody"));
+  publisher->publish(message("lost@nobody", "one"));
   EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_rejected_total") == 1; }));
 }
 

@@ -152,6 +152,14 @@ class Sharing : public Endpoints {
     }
     return 0;
   }
+  /// How many messages were not believed because of the sender that they name.
+  double untrue(const std::string& topology) const {
+    double sum = 0;
+    for (const auto& sample : running_.at(topology).metrics->collect()) {
+      if (sample.name == "iotcloud_spout_untrue_senders_total") sum += sample.value;
+    }
+    return sum;
+  }
   /// How many topologies stand in the group that reads the channel.
   std::size_t members(const std::string& group) {
     const auto names = registry_->children(paths_.readers(group, "d"_driver, "up") + "/members");
@@ -185,6 +193,21 @@ TEST_P(TopologiesOnOneDriver, BothGetEverythingUnlessTheyNameAGroup) {
   const auto sent = send(25);
   ASSERT_TRUE(eventually([&] {
     return HearingBolt::heard("one").size() >= sent.size() && HearingBolt::heard("two").size() >= sent.size();
+  }));
+  EXPECT_EQ(each_once(HearingBolt::heard("one")), sent);
+  EXPECT_EQ(each_once(HearingBolt::heard("two")), sent);
+}
+
+TEST_P(TopologiesOnOneDriver, DoNotBelieveAGatewaysMessagesThatNameAnothersInstance) {
+  start("one", "");
+  start("two", "");
+  show_gateways();
+  ASSERT_TRUE(both_read());
+  devices_[0]->publish(message("untrue", "i1"));
+  const auto sent = send(1);  // behind it
+  ASSERT_TRUE(eventually([&] {
+    return HearingBolt::heard("one").size() >= sent.size() && HearingBolt::heard("two").size() >= sent.size() &&
+           untrue("one") == 1 && untrue("two") == 1;
   }));
   EXPECT_EQ(each_once(HearingBolt::heard("one")), sent);
   EXPECT_EQ(each_once(HearingBolt::heard("two")), sent);

@@ -164,14 +164,15 @@ TEST_F(Where, LetsTheFirstMessagesOfADriverWaitForItsRecordInOrder) {
   EXPECT_EQ(metric("iotcloud_spout_unselected_total"), 0);
 }
 
-TEST_F(Where, DropsAndCountsWhatComesFromADriverThatTheRegistryNeverTellsOf) {
+TEST_F(Where, RefusesAndCountsWhatComesFromADriverThatTheRegistryNeverTellsOf) {
   show("a", {{"site", "lab"}}, true);
   start("site == 'lab'");
   ASSERT_TRUE(reads(1));
   const auto shared = broker_->publisher({"", "g.d.up", false}, many());
   shared->publish(message("1", "nobody"));
   shared->publish(message("2", "nobody"));
-  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_unselected_total") == 2; }));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_untrue_senders_total") == 2; }));
+  EXPECT_EQ(metric("iotcloud_spout_unselected_total"), 0);
 }
 
 TEST_F(Where, SaysInTheFileWhereAnExpressionIsWrong) {

@@ -31,11 +31,7 @@ void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutpu
   unreadable_ = &metrics.counter("iotcloud_spout_unreadable_total",
                                  "Messages given up because their builder refused them", labels);
   if (endpoint_.make_builder) builder_ = endpoint_.make_builder();
-  if (!endpoint_.where.everything()) {
-    filter_.emplace(placement_->chosen_instances(),
-                    metrics.counter("iotcloud_spout_unselected_total",
-                                    "Messages on shared channels of drivers that `where` does not choose", labels));
-  }
+  filter_.emplace(placement_->known_instances(), !endpoint_.where.everything(), metrics, labels);
   waker_ = context.waker;
   fence_count_ = services_->fence->count();
   queue_ = std::make_shared<SpoutQueue>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker);
@@ -69,9 +65,10 @@ bool BrokerSpout::next_tuple() {
       return true;
     }
   }
-  if (filter_ && !filter_->empty()) {
-    while (auto arrival = filter_->next(services_->clock->now())) {
-      if (bring(std::move(*arrival))) return true;
+  if (!filter_->empty()) {
+    for (auto passed = filter_->next(services_->clock->now()); passed.arrival;
+         passed = filter_->next(services_->clock->now())) {
+      if (admit(std::move(passed))) return true;
     }
     if (filter_->full()) return false;
   }
@@ -79,14 +76,12 @@ bool BrokerSpout::next_tuple() {
     auto [arrival, more] = queue_->pop();
     if (!arrival) return false;
     note_arrival(*arrival);
-    if (filter_) {
-      arrival = filter_->pass(std::move(*arrival), services_->clock->now());
-      if (!arrival) {
-        if (filter_->full()) return false;
-        continue;
-      }
+    auto passed = filter_->pass(std::move(*arrival), services_->clock->now());
+    if (!passed.arrival) {
+      if (filter_->full()) return false;
+    } else if (admit(std::move(passed))) {
+      return more || next_;
     }
-    if (bring(std::move(*arrival))) return more || next_;
   }
 }
 
@@ -102,6 +97,13 @@ void BrokerSpout::note_arrival(const ChannelMessage& arrival) {
 /// that were born before the fence was raised are void.
 bool BrokerSpout::is_first_after_fence(const ChannelMessage& arrival) {
   return std::exchange(fence_count_, arrival.reader->fence_count()) != arrival.reader->fence_count();
+}
+
+/// Takes what the filter has let go, a message or one that it refuses. \return as bring().
+bool BrokerSpout::admit(SenderFilter::Passed passed) {
+  if (passed.refusal.empty()) return bring(std::move(*passed.arrival));
+  if (!comes_again(*passed.arrival)) refuse(std::move(*passed.arrival), passed.refusal);
+  return false;
 }
 
 /// Emits the message, or keeps it for later. \return true when next_tuple() must return: the message was emitted, or
@@ -142,13 +144,13 @@ void BrokerSpout::emit(ChannelMessage arrival) {
 std::chrono::microseconds BrokerSpout::poll_period() const {
   const auto due = retries_.due();
   const bool filtering = filter_ && !filter_->empty();
-  if (!due) return std::chrono::microseconds(filtering ? SharedFilter::look_again : std::chrono::milliseconds{0});
+  if (!due) return std::chrono::microseconds(filtering ? SenderFilter::look_again : std::chrono::milliseconds{0});
   constexpr std::chrono::microseconds least = std::chrono::milliseconds(1);
   const auto now = services_->clock->now();
   if (*due <= now) return least;
   // The runtime cannot move a poll forward once it is planned. A message that fails meanwhile may be due before it, so
   // no poll is further away than the shortest pause of a retry.
-  const std::chrono::microseconds most = filtering ? SharedFilter::look_again : Retries::pause_after(1);
+  const std::chrono::microseconds most = filtering ? SenderFilter::look_again : Retries::pause_after(1);
   return std::clamp<std::chrono::microseconds>(std::chrono::ceil<std::chrono::microseconds>(*due - now), least,
                                                std::max(most, least));
 }
@@ -198,19 +200,48 @@ void BrokerSpout::try_again(ChannelMessage arrival) {
   retries_.add(std::move(arrival), services_->clock->now());
 }
 
-void BrokerSpout::give_up(ChannelMessage arrival, const std::string& reason) {
+/// Whether the log may get a line now. If not, the message is counted for the next line.
+bool BrokerSpout::may_say(Complaints& complaints) const {
   const auto now = services_->clock->now();
-  if (last_complaint_ && now - *last_complaint_ < quiet_time) {
-    ++given_up_silently_;
-  } else {
-    endpoints_logger.warn(
-        "a message of driver {} is given up after {} {} and {}: {}{}", arrival.delivery.message.driver_id,
-        arrival.tries, arrival.tries == 1 ? "try" : "tries",
-        dead_letters_ ? "goes to " + endpoint_.reading.dead_letter : "is rejected", reason,
-        given_up_silently_ == 0 ? "" : fmt::format("; {} more since the last such line", given_up_silently_));
-    given_up_silently_ = 0;
-    last_complaint_ = now;
+  if (complaints.last && now - *complaints.last < quiet_time) {
+    ++complaints.untold;
+    return false;
   }
+  complaints.last = now;
+  return true;
+}
+
+/// Gives up a message that says an untrue sender. It has lines of its own in the log, so that a flood of such messages
+/// does not hide what becomes of others.
+void BrokerSpout::refuse(ChannelMessage arrival, const std::string& reason) {
+  if (may_say(refused_)) {
+    endpoints_logger.warn("a message of {} is not believed and {}: {}{}", arrival.reader->topic().name, fate(), reason,
+                          others(refused_));
+  }
+  turn_away(std::move(arrival), reason);
+}
+
+void BrokerSpout::give_up(ChannelMessage arrival, const std::string& reason) {
+  if (may_say(given_up_)) {
+    endpoints_logger.warn("a message of driver {} is given up after {} {} and {}: {}{}",
+                          arrival.delivery.message.driver_id, arrival.tries, arrival.tries == 1 ? "try" : "tries",
+                          fate(), reason, others(given_up_));
+  }
+  turn_away(std::move(arrival), reason);
+}
+
+/// What becomes of messages that are given up, for the log.
+std::string BrokerSpout::fate() const {
+  return dead_letters_ ? "goes to " + endpoint_.reading.dead_letter : "is rejected";
+}
+
+/// The end of a line in the log, which counts the messages that got none.
+std::string BrokerSpout::others(Complaints& complaints) {
+  const auto untold = std::exchange(complaints.untold, 0);
+  return untold == 0 ? "" : fmt::format("; {} more since the last such line", untold);
+}
+
+void BrokerSpout::turn_away(ChannelMessage arrival, const std::string& reason) {
   if (dead_letters_) {
     dead_letters_->send(std::move(arrival), reason);
     return;
@@ -221,7 +252,6 @@ void BrokerSpout::give_up(ChannelMessage arrival, const std::string& reason) {
 
 Values BrokerSpout::values_of(const ChannelMessage& arrival) const {
   const brokers::Message& message = arrival.delivery.message;
-  const TopicReader::Sender& sender = arrival.reader->sender();
   const Values built = builder_ ? built_values_of(arrival) : Values();
   std::size_t next_built = 0;
   Values values;
@@ -237,13 +267,13 @@ Values BrokerSpout::values_of(const ChannelMessage& arrival) const {
         }
         break;
       case FieldRole::driver_id:
-        values.add(message.driver_id.empty() ? sender.driver.str() : message.driver_id);
+        values.add(message.driver_id);
         break;
       case FieldRole::time:
         values.add(message.time_ms);
         break;
       case FieldRole::gateway_id:
-        values.add(message.gateway_id.empty() ? sender.gateway.str() : message.gateway_id);
+        values.add(message.gateway_id);
         break;
       case FieldRole::channel:
         values.add(endpoint_.channel);

@@ -3,11 +3,12 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <string>
 #include <vector>
 
 #include <iotcloud/topology/endpoints/receiving/dead_letter_sender.h>
 #include <iotcloud/topology/endpoints/receiving/retries.h>
-#include <iotcloud/topology/endpoints/receiving/shared_filter.h>
+#include <iotcloud/topology/endpoints/receiving/sender_filter.h>
 #include <iotcloud/topology/endpoints/receiving/spout_placement.h>
 #include <iotcloud/topology/endpoints/receiving/spout_queue.h>
 #include <iotcloud/topology/spout.h>
@@ -48,7 +49,18 @@ class BrokerSpout final : public Spout {
   void emit(ChannelMessage arrival);
   void try_again(ChannelMessage arrival);
   static bool comes_again(const ChannelMessage& arrival);
+  /// What the log is told of messages that are given up: one line for many.
+  struct Complaints {
+    std::size_t untold = 0;                      ///< messages since the last line
+    std::optional<config::Clock::Instant> last;  ///< when the log got a line
+  };
+  bool admit(SenderFilter::Passed passed);
+  void refuse(ChannelMessage arrival, const std::string& reason);
   void give_up(ChannelMessage arrival, const std::string& reason);
+  bool may_say(Complaints& complaints) const;
+  std::string fate() const;
+  static std::string others(Complaints& complaints);
+  void turn_away(ChannelMessage arrival, const std::string& reason);
   Values values_of(const ChannelMessage& arrival) const;
   Values built_values_of(const ChannelMessage& arrival) const;
   MessageId keep(ChannelMessage arrival);
@@ -65,7 +77,7 @@ class BrokerSpout final : public Spout {
   std::shared_ptr<SpoutQueue> queue_;
   SpoutWaker waker_;
   Retries retries_;
-  std::optional<SharedFilter> filter_;  ///< only with `where`
+  std::optional<SenderFilter> filter_;  ///< set by open()
   std::uint64_t last_sequence_ = 0;
   std::uint64_t fence_count_ = 0;  ///< TopicReader::fence_count() of the message before; see is_first_after_fence()
   std::optional<ChannelMessage> next_;  ///< left to the next call of next_tuple(), see is_first_after_fence()
@@ -73,8 +85,7 @@ class BrokerSpout final : public Spout {
   config::Counter* retried_ = nullptr;
   config::Counter* rejected_ = nullptr;
   config::Counter* unreadable_ = nullptr;
-  std::size_t given_up_silently_ = 0;                     ///< messages given up since last_complaint_
-  std::optional<config::Clock::Instant> last_complaint_;  ///< when the log got a line about messages given up
+  Complaints given_up_, refused_;
 
   /// Holds a message that is under way. A message id is the slot's index and how often the slot was used, so that a
   /// late ack or fail does not hit the slot's next message.

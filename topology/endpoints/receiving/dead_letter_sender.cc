@@ -24,7 +24,6 @@ void DeadLetterSender::send(ChannelMessage arrival, const std::string& reason) {
   letter.properties.set("dead-letter-topic", arrival.reader->topic().name);
   letter.properties.set("dead-letter-topology", services_->topology.str());
   letter.properties.set("dead-letter-component", component_);
-  if (letter.driver_id.empty()) letter.driver_id = arrival.reader->sender().driver;
   std::shared_ptr<Sender> sender;
   {
     const config::MutexLock lock(mutex_);

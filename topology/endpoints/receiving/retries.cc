@@ -11,8 +11,7 @@ std::chrono::milliseconds Retries::pause_after(int tries) {
 }
 
 const std::string& Retries::driver_of(const ChannelMessage& arrival) {
-  const std::string& named = arrival.delivery.message.driver_id;
-  return named.empty() ? arrival.reader->sender().driver.str() : named;
+  return arrival.delivery.message.driver_id;
 }
 
 void Retries::add(ChannelMessage arrival, Instant now) {

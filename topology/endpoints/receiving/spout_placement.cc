@@ -179,17 +179,18 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
       on_missing(channels);
     });
   };
-  callbacks.on_record = [this](const discovery::InstanceId& instance, const discovery::DriverRecord* record) {
+  callbacks.on_record = [this](const discovery::InstanceId& instance, const discovery::DriverRecord* record,
+                               bool chosen) {
+    if (record != nullptr) {
+      known_instances_->told(instance, record->gateway, chosen);
+    } else {
+      known_instances_->gone(instance);
+    }
     in_turn([&] {
       dispatcher_.assert_held();
       on_state(instance, record ? std::optional(record->state) : std::nullopt);
     });
   };
-  if (!endpoint_.where.everything()) {
-    callbacks.on_choice = [this](const discovery::InstanceId& instance, std::optional<bool> chosen) {
-      chosen_instances_->told(instance, chosen);
-    };
-  }
   search->directory = std::make_unique<discovery::DriverDirectory>(
       registry, services_->paths, endpoint_.driver, endpoint_.channel, std::move(callbacks), endpoint_.where);
   search_ = std::move(search);
@@ -386,7 +387,7 @@ void SpoutPlacement::add_to_unit(const discovery::ChannelRecord& channel, std::o
 /// Takes the channel out of the units of its partitions from the given one on.
 void SpoutPlacement::displace(const discovery::ChannelRecord& channel, int first_partition, SpoutUnits::End end) {
   // Messages of an instance that `where` chooses no longer stay at the broker.
-  if (!chosen_instances_->of(channel.instance.str()).value_or(true)) end = SpoutUnits::End::at_once;
+  if (!known_instances_->may_be_chosen(channel.instance)) end = SpoutUnits::End::at_once;
   for (int partition = first_partition;; ++partition) {
     const std::string name = unit_of(channel, partition);
     if (!units_.contains(name)) return;

@@ -13,7 +13,7 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/endpoints/placement/reading_group.h>
-#include <iotcloud/topology/endpoints/receiving/chosen_instances.h>
+#include <iotcloud/topology/endpoints/receiving/known_instances.h>
 #include <iotcloud/topology/endpoints/receiving/prefetch_report.h>
 #include <iotcloud/topology/endpoints/receiving/split_topics.h>
 #include <iotcloud/topology/endpoints/receiving/spout_units.h>
@@ -48,8 +48,8 @@ class SpoutPlacement {
   void join(int task_index, int task_count, std::shared_ptr<SpoutQueue> queue);
   /// A task calls it when it closes. The first call ends all reading, and returns when no message comes any more.
   void leave();
-  /// Which driver instances `where` chooses, also of those that share a channel.
-  std::shared_ptr<const ChosenInstances> chosen_instances() const { return chosen_instances_; }
+  /// The driver's instances, also those that share a channel.
+  std::shared_ptr<const KnownInstances> known_instances() const { return known_instances_; }
   /// How old the messages are that the tasks receive, and how many more wait at the brokers.
   const std::shared_ptr<Arrivals>& arrivals() const { return arrivals_; }
 
@@ -140,7 +140,7 @@ class SpoutPlacement {
   const std::string component_;
   const EndpointDefinition endpoint_;
   const std::shared_ptr<Arrivals> arrivals_ = std::make_shared<Arrivals>();
-  const std::shared_ptr<ChosenInstances> chosen_instances_ = std::make_shared<ChosenInstances>();
+  const std::shared_ptr<KnownInstances> known_instances_ = std::make_shared<KnownInstances>();
 
   std::string path_;  ///< readers_path(); set by the last join()
 

@@ -41,7 +41,7 @@ void RouteTable::join() {
   discovery::DriverDirectory::Callbacks callbacks;
   callbacks.on_channel = [this](const discovery::ChannelRecord& channel) { on_channel(channel); };
   callbacks.on_channel_gone = [this](const discovery::ChannelRecord& channel) { on_channel_gone(channel); };
-  callbacks.on_record = [this](const discovery::InstanceId& instance, const discovery::DriverRecord* record) {
+  callbacks.on_record = [this](const discovery::InstanceId& instance, const discovery::DriverRecord* record, bool) {
     on_record(instance, record);
   };
   if (!endpoint_.where.everything()) {

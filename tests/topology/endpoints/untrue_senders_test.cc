@@ -1,0 +1,254 @@
+// Messages that name another sender than their channel has: what the thief of a gateway may send, and to whom it leads.
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <iotcloud/brokers/embedded/server.h>
+#include <iotcloud/tests/captured_log.h>
+#include <iotcloud/tests/discovery/id_literals.h>
+#include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
+#include <iotcloud/topology/endpoints/receiving/sender_filter.h>
+#include <iotcloud/topology/endpoints/receiving/topic_reader.h>
+
+namespace iotcloud::topology {
+namespace {
+
+using ::testing::AllOf;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using namespace std::chrono_literals;
+
+/// The instance `mine` is on gateway-1, whose credentials are stolen, the instance `victim` on gateway-2. The topology
+/// answers each message to the instance that sent it.
+class UntrueSenders : public Endpoints {
+ protected:
+  void show(const std::string& instance, const std::string& gateway, bool shared = false) {
+    for (const bool up : {true, false}) {
+      auto channel =
+          channel_record(instance, up ? "up" : "down", up ? discovery::Direction::out : discovery::Direction::in);
+      channel.properties = {{"routingKey", channel.name}};
+      channel.gateway = discovery::GatewayId(gateway);
+      channel.shared = shared && up;
+      put_channel(channel);
+    }
+    auto driver = driver_record(instance);
+    driver.gateway = discovery::GatewayId(gateway);
+    put_driver(driver);
+  }
+  std::unique_ptr<brokers::Publisher> writer(const std::string& topic) {
+    return broker_->publisher({"", topic, false}, many());
+  }
+  bool reads(double channels) {
+    return eventually([&] { return metric("iotcloud_spout_channels") == channels; });
+  }
+  double refused(const std::string& reason) const {
+    double sum = 0;
+    for (const auto& sample : metrics_.collect()) {
+      if (sample.name == "iotcloud_spout_untrue_senders_total" && sample.labels.at("reason") == reason)
+        sum += sample.value;
+    }
+    return sum;
+  }
+
+  Mailbox to_mine_{*broker_, "gateway-1.d.mine.down"};
+  Mailbox to_victim_{*broker_, "gateway-2.d.victim.down"};
+};
+
+TEST_F(UntrueSenders, OnAnExclusiveChannelLeadToNoOtherInstance) {
+  const tests::CapturedLog log;
+  show("mine", "gateway-1");
+  show("victim", "gateway-2");
+  run();
+  ASSERT_TRUE(reads(2));
+  const auto thief = writer("gateway-1.d.mine.up");
+  thief->publish(message("drive\nfast", "victim"));
+  auto of_its_gateway = message("drive", "victim");
+  of_its_gateway.gateway_id = "gateway-2";
+  thief->publish(of_its_gateway);
+  thief->publish(message("mine", "mine"));
+  ASSERT_TRUE(to_mine_.wait_for(1));
+  writer("gateway-2.d.victim.up")->publish(message("true", "victim"));
+  ASSERT_TRUE(to_victim_.wait_for(1));
+  EXPECT_THAT(to_victim_.texts(), ElementsAre("true"));
+  EXPECT_THAT(to_mine_.texts(), ElementsAre("mine"));
+  EXPECT_EQ(refused("other_instance"), 1);
+  EXPECT_EQ(refused("other_gateway"), 1);
+  EXPECT_EQ(metric("iotcloud_spout_rejected_total"), 2);
+  EXPECT_THAT(log.text(), HasSubstr("a message of gateway-1.d.mine.up is not believed and is rejected: it says that it "
+                                    "is from instance \"victim\", but it came on a channel of instance mine on gateway "
+                                    "gateway-1"));
+  EXPECT_EQ(log.text().find("from gateway \"gateway-2\""), std::string::npos) << "one line for both";
+  EXPECT_TRUE(eventually([&] {
+    return brokers::embedded::Server::named(url_.substr(11)).depth("gateway-1.d.mine.up", "t") == 0;
+  })) << "they would come again";
+}
+
+TEST_F(UntrueSenders, OnASharedChannelLeadToNoInstanceOfAnotherGateway) {
+  show("mine", "gateway-1", true);
+  show("victim", "gateway-2", true);
+  run();
+  ASSERT_TRUE(reads(2));
+  const auto thief = writer("gateway-1.d.up");
+  thief->publish(message("drive", "victim"));
+  auto of_its_gateway = message("drive", "victim");
+  of_its_gateway.gateway_id = "gateway-2";
+  thief->publish(of_its_gateway);
+  thief->publish(message("mine", "mine"));
+  ASSERT_TRUE(to_mine_.wait_for(1));
+  writer("gateway-2.d.up")->publish(message("true", "victim"));
+  ASSERT_TRUE(to_victim_.wait_for(1));
+  EXPECT_THAT(to_victim_.texts(), ElementsAre("true"));
+  EXPECT_EQ(refused("other_gateway"), 2);
+}
+
+TEST_F(UntrueSenders, OnASharedChannelLeadToNoInstanceThatTheRegistryHasNotToldOf) {
+  show("mine", "gateway-1", true);
+  run();
+  ASSERT_TRUE(reads(1));
+  const auto thief = writer("gateway-1.d.up");
+  thief->publish(message("drive", "victim"));
+  thief->publish(message("mine", "mine"));
+  ASSERT_TRUE(to_mine_.wait_for(1)) << "another one's message does not wait";
+  show("victim", "gateway-2", true);
+  ASSERT_TRUE(eventually([&] { return refused("other_gateway") == 1; }));
+  thief->publish(message("drive", "nobody"));
+  ASSERT_TRUE(eventually([&] { return refused("unknown_instance") == 1; }));
+  EXPECT_THAT(to_victim_.texts(), IsEmpty());
+}
+
+TEST_F(UntrueSenders, GoToTheDeadLettersInTheNameOfTheirChannel) {
+  show("mine", "gateway-1");
+  show("victim", "gateway-2");
+  Mailbox letters(*broker_, "letters", true);
+  run("{deadLetter: letters}");
+  ASSERT_TRUE(reads(2));
+  writer("gateway-1.d.mine.up")->publish(message("drive", "victim"));
+  ASSERT_TRUE(letters.wait_for(1));
+  EXPECT_EQ(letters.message(0).payload.text(), "drive");
+  EXPECT_EQ(letters.message(0).driver_id, "mine");
+  EXPECT_EQ(letters.message(0).gateway_id, "gateway-1");
+  EXPECT_THAT(*letters.message(0).properties.find("dead-letter-reason"), HasSubstr("from instance \"victim\""));
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_dead_letters_total") == 1; }));
+  EXPECT_EQ(metric("iotcloud_spout_rejected_total"), 0);
+}
+
+TEST_F(UntrueSenders, AreRefusedWithAutomaticAcknowledgementToo) {
+  show("mine", "gateway-1");
+  show("victim", "gateway-2");
+  run("{ackMode: auto}");
+  ASSERT_TRUE(reads(2));
+  const auto thief = writer("gateway-1.d.mine.up");
+  thief->publish(message("drive", "victim"));
+  thief->publish(message("mine", "mine"));
+  ASSERT_TRUE(to_mine_.wait_for(1));
+  EXPECT_THAT(to_victim_.texts(), IsEmpty());
+  EXPECT_EQ(refused("other_instance"), 1);
+}
+
+TEST_F(UntrueSenders, AreNotThoseThatNameNobodyAsSomeProgramsOfTheOriginalDo) {
+  show("mine", "gateway-1");
+  run();
+  ASSERT_TRUE(reads(1));
+  writer("gateway-1.d.mine.up")->publish(message("x", ""));
+  ASSERT_TRUE(to_mine_.wait_for(1));
+  EXPECT_EQ(to_mine_.message(0).driver_id, "mine");
+  EXPECT_EQ(to_mine_.message(0).gateway_id, "gateway-1");
+  EXPECT_EQ(metric("iotcloud_spout_untrue_senders_total"), 0);
+}
+
+/// What the filter does with the messages of a shared channel of gateway-1, at times that the test says.
+class WaitingSenders : public testing::Test {
+ protected:
+  WaitingSenders() {
+    brokers::BrokerOptions to;
+    to.urls = {"embedded://waiting-senders"};
+    reader_ = TopicReader::open(brokers::make_broker(to), {"local", to.urls}, {"", "gateway-1.d.up", false}, {},
+                                {"gateway-1"_gateway, {}}, std::make_shared<SpoutQueue>(10, SpoutWaker()),
+                                std::make_shared<StandstillFence>(), std::make_shared<HeldMessages>());
+  }
+  ~WaitingSenders() override {
+    filter_.clear();
+    reader_->close();
+  }
+  SenderFilter::Passed pass(const std::string& instance) {
+    brokers::Message message;
+    message.driver_id = instance;
+    return filter_.pass(ChannelMessage(brokers::Delivery(std::move(message), false, nullptr, 0), reader_), now_);
+  }
+  /// Whether a message of this instance has to wait.
+  bool waits(const std::string& instance) { return !pass(instance).arrival; }
+  std::string refusal_of_next() { return filter_.next(now_).refusal; }
+
+  config::Metrics metrics_;
+  const std::shared_ptr<KnownInstances> known_ = std::make_shared<KnownInstances>();
+  SenderFilter filter_{known_, false, metrics_, {}};
+  std::shared_ptr<TopicReader> reader_;
+  config::Clock::Instant now_{1h};
+};
+
+TEST_F(WaitingSenders, AreRefusedWhenTheRegistryDoesNotTellOfThemInTime) {
+  EXPECT_TRUE(waits("nobody"));
+  now_ += SenderFilter::grace - 1ms;
+  EXPECT_FALSE(filter_.next(now_).arrival);
+  now_ += 1ms;
+  EXPECT_THAT(refusal_of_next(), AllOf(HasSubstr("\"nobody\""), HasSubstr("which the registry does not have")));
+  EXPECT_TRUE(filter_.empty());
+}
+
+TEST_F(WaitingSenders, WaitOnWhileTheRegistryStillTellsOfOthersAsAtTheStart) {
+  EXPECT_TRUE(waits("late"));
+  for (int second = 0; second < 20; ++second) {
+    known_->told(discovery::InstanceId("other" + std::to_string(second)), "gateway-1"_gateway, true);
+    EXPECT_FALSE(filter_.next(now_).arrival) << second;
+    now_ += 1s;
+  }
+  known_->told("late"_instance, "gateway-1"_gateway, true);
+  const auto passed = filter_.next(now_);
+  ASSERT_TRUE(passed.arrival);
+  EXPECT_EQ(passed.refusal, "");
+  EXPECT_EQ(passed.arrival->delivery.message.gateway_id, "gateway-1");
+}
+
+TEST_F(WaitingSenders, DoNotWaitForEver) {
+  EXPECT_TRUE(waits("nobody"));
+  for (int second = 0; second < 30; ++second) {
+    known_->told(discovery::InstanceId("other" + std::to_string(second)), "gateway-1"_gateway, true);
+    EXPECT_FALSE(filter_.next(now_).arrival) << second;
+    now_ += 1s;
+  }
+  EXPECT_NE(refusal_of_next(), "");
+}
+
+TEST_F(WaitingSenders, DoNotWaitEachWhenOneHasWaitedInVain) {
+  EXPECT_TRUE(waits("gone"));
+  now_ += SenderFilter::grace;
+  EXPECT_NE(refusal_of_next(), "");
+  for (int i = 0; i < 1000; ++i) ASSERT_NE(pass("gone").refusal, "");
+  EXPECT_TRUE(waits("new"));
+  now_ += SenderFilter::nobody_for;
+  EXPECT_TRUE(waits("gone")) << "it may be deployed again";
+}
+
+TEST_F(WaitingSenders, PassAtOnceWhenTheRegistryHasToldOfThemAlsoBeforeTheyWent) {
+  known_->told("one"_instance, "gateway-1"_gateway, true);
+  EXPECT_FALSE(waits("one"));
+  known_->gone("one"_instance);
+  const auto passed = pass("one");
+  ASSERT_TRUE(passed.arrival);
+  EXPECT_EQ(passed.refusal, "");
+}
+
+TEST_F(WaitingSenders, PassWhenTheyNameNobodyAndNothingIsChosen) {
+  const auto passed = pass("");
+  ASSERT_TRUE(passed.arrival);
+  EXPECT_EQ(passed.refusal, "");
+  EXPECT_EQ(passed.arrival->delivery.message.driver_id, "");
+}
+
+}  // namespace
+}  // namespace iotcloud::topology
