@@ -3,7 +3,10 @@
 #include <optional>
 #include <utility>
 
+#include <fmt/format.h>
+
 #include <iotcloud/config/log.h>
+#include <iotcloud/discovery/client/path.h>
 #include <iotcloud/discovery/client/turn.h>
 #include <iotcloud/discovery/directory.h>
 
@@ -19,15 +22,45 @@ struct Channel {
   std::optional<ChannelRecord> record;    ///< the current record, if it can be read
   std::optional<ChannelRecord> reported;  ///< the record that the user was told last
   bool complained = false;
+  bool complained_of_gateway = false;
 };
 
 struct Instance {
   GuardPtr watch;
   GuardPtr list_watch;  ///< null if one channel is wanted by name
   bool active = false;  ///< active and selected
+  GatewayId gateway;    ///< as the last record says that could be read
   bool complained = false;
   std::map<std::string, Channel> channels;
 };
+
+/// A record is what its place in the tree says: whoever may write the records of one gateway can put any names into
+/// them. What a record lacks, as some of the original and of older gateways do, is taken from its place. \throws
+/// config::Error if it says something else.
+template <typename Name>
+void take_from_place(Name& name, const std::string& here, const char* what, const std::string& path) {
+  if (name.empty()) name = Name(here);
+  const std::string& said = name;
+  if (said == here) return;
+  throw config::Error(
+      fmt::format("{}: the record there says that it is of another {}: {:?}", path, what, said.substr(0, 64)));
+}
+
+DriverRecord driver_at(const std::string& bytes, const std::string& path) {
+  auto driver = decode_driver(bytes, path);
+  take_from_place(driver.name, name_of(parent_of(path)), "driver", path);
+  take_from_place(driver.instance, name_of(path), "instance", path);
+  return driver;
+}
+
+ChannelRecord channel_at(const std::string& bytes, const std::string& path) {
+  auto channel = decode_channel(bytes, path);
+  const std::string instance = parent_of(path);
+  take_from_place(channel.driver, name_of(parent_of(instance)), "driver", path);
+  take_from_place(channel.instance, name_of(instance), "instance", path);
+  take_from_place(channel.name, name_of(path), "channel", path);
+  return channel;
+}
 
 }  // namespace
 
@@ -105,8 +138,9 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
     const auto found = instances.find(id);
     if (found == instances.end()) return;
     Instance& instance = found->second;
-    const auto record = read(node, paths.instance(driver, id), decode_driver, instance.complained);
+    const auto record = read(node, paths.instance(driver, id), driver_at, instance.complained);
     const bool chosen = record && where.matches(*record);
+    if (record) instance.gateway = record->gateway;
     instance.active = chosen && record->state == DriverState::active;
     if (record) judge(id, chosen, &*record);
     if (!over) update(instance);
@@ -136,7 +170,7 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
       Channel gone = std::move(place->second);
       place = channels.erase(place);
       gone.record.reset();
-      update(gone, false);
+      update(gone, found->second);
       if (over) return;
     }
     for (const std::string& name : names) {
@@ -159,8 +193,8 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
     if (instance == instances.end()) return;
     const auto channel = instance->second.channels.find(name);
     if (channel == instance->second.channels.end()) return;
-    channel->second.record = read(node, paths.channel(driver, id, name), decode_channel, channel->second.complained);
-    update(channel->second, instance->second.active);
+    channel->second.record = read(node, paths.channel(driver, id, name), channel_at, channel->second.complained);
+    update(channel->second, instance->second);
   }
 
   /// \return nothing if there is no node or it cannot be read, which is logged once.
@@ -179,20 +213,35 @@ struct DriverDirectory::Impl : TakesTurns<Impl> {
   }
 
   void update(Instance& instance) IOTCLOUD_REQUIRES(turn) {
-    const bool active = instance.active;
     for (auto& [name, channel] : instance.channels) {
-      update(channel, active);
+      update(channel, instance);
       if (over) return;  // `instance` is destroyed then
     }
   }
 
+  /// The channel's record, if the channel may be used now. A channel is on its instance's gateway; a record that says
+  /// another one is not used, which is logged once.
+  std::optional<ChannelRecord> usable(Channel& channel, const Instance& instance) const {
+    if (!instance.active || !channel.record) return std::nullopt;
+    auto record = channel.record;
+    if (record->gateway.empty()) record->gateway = instance.gateway;
+    const bool elsewhere = !instance.gateway.empty() && record->gateway != instance.gateway;
+    const bool complained = std::exchange(channel.complained_of_gateway, elsewhere);
+    if (!elsewhere) return record;
+    if (!complained) {
+      directory_logger.warn("skipped: {}: the record there is of gateway {:?}, but that of its instance of {:?}",
+                            paths.channel(driver, record->instance, record->name), record->gateway.str().substr(0, 64),
+                            instance.gateway.str().substr(0, 64));
+    }
+    return std::nullopt;
+  }
+
   /// Tells the user what changed about a channel.
-  void update(Channel& channel, bool active) IOTCLOUD_REQUIRES(turn) {
-    if (active && channel.record) {
-      if (channel.reported == channel.record) return;
-      channel.reported = channel.record;
-      const ChannelRecord record = *channel.record;  // the callback may destroy `channel`
-      if (callbacks.on_channel) callbacks.on_channel(record);
+  void update(Channel& channel, const Instance& instance) IOTCLOUD_REQUIRES(turn) {
+    if (const auto record = usable(channel, instance)) {
+      if (channel.reported == record) return;
+      channel.reported = record;
+      if (callbacks.on_channel) callbacks.on_channel(*record);  // which may destroy `channel`
     } else if (channel.reported) {
       const ChannelRecord gone = *std::exchange(channel.reported, std::nullopt);
       if (callbacks.on_channel_gone) callbacks.on_channel_gone(gone);

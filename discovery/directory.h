@@ -14,7 +14,9 @@
 
 namespace iotcloud::discovery {
 
-/// A live view of one driver's instances and their channels, kept up to date by watches. Thread safe.
+/// A live view of one driver's instances and their channels, kept up to date by watches. Of which driver and instance a
+/// record is, and the name of a channel, is what the record's place says; records that say something else are skipped
+/// and logged, as is the record of a channel on another gateway than its instance. Thread safe.
 class DriverDirectory {
  public:
   struct Callbacks {

@@ -1,5 +1,6 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/discovery/contract_fixture.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 
@@ -125,6 +126,72 @@ TEST_F(Directory, WhatCannotBeReadIsSkippedUntilItCan) {
   ASSERT_TRUE(seen_.wait_for_last("+2.kinect@amqp://1"));
   put(*writer_, paths_.channel("turtle"_driver, "2"_instance, "kinect"), "garbage");
   EXPECT_TRUE(seen_.wait_for_last("-2.kinect"));
+}
+
+TEST_F(Directory, TakesDriverInstanceAndChannelFromTheRecordsPlaceAndSkipsWhatSaysOthers) {
+  const iotcloud::tests::CapturedLog log;
+  put_driver("mine", DriverState::active);
+  ChannelRecord bare;
+  bare.transport = "rabbitmq";
+  bare.broker_url = "amqp://1";
+  ChannelRecord of_another_instance = bare, of_another_driver = bare, of_another_channel = bare;
+  of_another_instance.instance = "victim"_instance;
+  of_another_driver.driver = "kinect"_driver;
+  of_another_channel.name = "control\nforged line";
+  const auto put_at = [&](const std::string& name, const ChannelRecord& record) {
+    put(*writer_, paths_.channel("turtle"_driver, "mine"_instance, name), encode(record));
+  };
+  put_at("a", of_another_instance);
+  put_at("b", of_another_driver);
+  put_at("c", of_another_channel);
+  put_at("d", bare);
+  DriverRecord untrue = driver("victim", DriverState::active);
+  put(*writer_, paths_.instance("turtle"_driver, "other"_instance), encode(untrue));
+  put_channel("other", "d");
+  std::vector<ChannelRecord> told;
+  DriverDirectory::Callbacks callbacks;
+  callbacks.on_channel = [&](const ChannelRecord& record) {
+    told.push_back(record);
+    seen_.add("+" + record.name);
+  };
+  callbacks.on_channel_gone = [&](const ChannelRecord& record) { seen_.add("-" + record.instance); };
+  callbacks.on_record = [&](const InstanceId& instance, const DriverRecord*, bool) { seen_.add("record " + instance); };
+  const DriverDirectory directory(*registry_, paths_, "turtle"_driver, "", std::move(callbacks));
+  ASSERT_TRUE(seen_.wait_for_last("+d"));
+  EXPECT_THAT(seen_.all(), ElementsAre("record mine", "+d"));
+  EXPECT_EQ(told.at(0).driver, "turtle");
+  EXPECT_EQ(told.at(0).instance, "mine");
+  EXPECT_EQ(told.at(0).gateway, "gw");
+  EXPECT_TRUE(
+      log.contains("skipped: /iot/sensors/turtle/mine/a: the record there says that it is of another instance: "
+                   "\"victim\""));
+  EXPECT_TRUE(log.contains("of another driver: \"kinect\""));
+  EXPECT_TRUE(log.contains("of another channel: \"control\\nforged line\""));
+  EXPECT_TRUE(iotcloud::tests::eventually([&] {
+    return log.contains("skipped: /iot/sensors/turtle/other: the record there says that it is of another instance");
+  }));
+  bare.instance = "mine"_instance;
+  put_at("a", bare);
+  EXPECT_TRUE(seen_.wait_for_last("+a"));
+}
+
+TEST_F(Directory, SkipsAChannelOnAnotherGatewayThanItsInstance) {
+  put_driver("1", DriverState::active);
+  ChannelRecord channel;
+  channel.gateway = "another"_gateway;
+  const auto path = paths_.channel("turtle"_driver, "1"_instance, "kinect");
+  put(*writer_, path, encode(channel));
+  put_driver("2", DriverState::active);
+  put_channel("2", "kinect");
+  const auto directory = watch("kinect");
+  ASSERT_TRUE(seen_.wait_for_last("+2.kinect@amqp://1"));
+  EXPECT_EQ(seen_.all().size(), 1U);
+  channel.gateway = "gw"_gateway;
+  put(*writer_, path, encode(channel));
+  ASSERT_TRUE(seen_.wait_for_last("+1.kinect@"));
+  channel.gateway = "another"_gateway;
+  put(*writer_, path, encode(channel));
+  EXPECT_TRUE(seen_.wait_for_last("-1.kinect"));
 }
 
 TEST_F(Directory, KeepsItsViewThroughAnExpiredSession) {

@@ -43,6 +43,15 @@ class UntrueSenders : public Endpoints {
   std::unique_ptr<brokers::Publisher> writer(const std::string& topic) {
     return broker_->publisher({"", topic, false}, many());
   }
+  /// Waits until the topology has heard of all that was written before: of a driver that comes after it.
+  void until_heard() {
+    const std::string name = "later" + std::to_string(++later_);
+    Mailbox to_it(*broker_, "g.d." + name + ".down");
+    show(name, "g");
+    const auto it = writer("g.d." + name + ".up");
+    it->publish(message("x", name));
+    ASSERT_TRUE(to_it.wait_for(1));
+  }
   bool reads(double channels) {
     return eventually([&] { return metric("iotcloud_spout_channels") == channels; });
   }
@@ -55,6 +64,7 @@ class UntrueSenders : public Endpoints {
     return sum;
   }
 
+  int later_ = 0;
   Mailbox to_mine_{*broker_, "gateway-1.d.mine.down"};
   Mailbox to_victim_{*broker_, "gateway-2.d.victim.down"};
 };
@@ -159,6 +169,52 @@ TEST_F(UntrueSenders, AreNotThoseThatNameNobodyAsSomeProgramsOfTheOriginalDo) {
   EXPECT_EQ(to_mine_.message(0).driver_id, "mine");
   EXPECT_EQ(to_mine_.message(0).gateway_id, "gateway-1");
   EXPECT_EQ(metric("iotcloud_spout_untrue_senders_total"), 0);
+}
+
+/// Records that the thief of gateway-1 puts below its own instance.
+using UntrueRecords = UntrueSenders;
+
+TEST_F(UntrueRecords, LeadNoCommandsOfAnotherInstanceToTheThief) {
+  show("victim", "gateway-2");
+  run();
+  ASSERT_TRUE(reads(1));
+  const auto victim = writer("gateway-2.d.victim.up");
+  victim->publish(message("1", "victim"));
+  ASSERT_TRUE(to_victim_.wait_for(1));
+  show("mine", "gateway-1");
+  ASSERT_TRUE(reads(2));
+  Mailbox thief(*broker_, "gateway-1.d.victim.down");
+  auto untrue = channel_record("victim", "down", discovery::Direction::in);
+  untrue.properties = {{"routingKey", "down"}};
+  untrue.gateway = "gateway-1"_gateway;
+  const std::string path = paths_.channel("d"_driver, "mine"_instance, "down");
+  discovery::put(*registry_, path, discovery::encode(untrue));
+  until_heard();
+  victim->publish(message("2", "victim"));
+  ASSERT_TRUE(to_victim_.wait_for(2));
+  EXPECT_THAT(thief.texts(), IsEmpty());
+  registry_->remove(path);  // which took the victim's route away, too
+  until_heard();
+  victim->publish(message("3", "victim"));
+  ASSERT_TRUE(to_victim_.wait_for(3));
+  EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), 0);
+}
+
+TEST_F(UntrueRecords, HaveNothingReadInTheNameOfAnotherInstance) {
+  show("victim", "gateway-2");
+  run();
+  ASSERT_TRUE(reads(1));
+  show("mine", "gateway-1");
+  ASSERT_TRUE(reads(2));
+  auto untrue = channel_record("victim", "up", discovery::Direction::out);
+  untrue.properties = {{"routingKey", "up"}};
+  untrue.gateway = "gateway-1"_gateway;
+  discovery::put(*registry_, paths_.channel("d"_driver, "mine"_instance, "up"), discovery::encode(untrue));
+  ASSERT_TRUE(reads(1)) << "that of the thief is not read any more, that of the victim still is";
+  writer("gateway-1.d.victim.up")->publish(message("drive", "victim"));
+  writer("gateway-2.d.victim.up")->publish(message("true", "victim"));
+  ASSERT_TRUE(to_victim_.wait_for(1));
+  EXPECT_THAT(to_victim_.texts(), ElementsAre("true"));
 }
 
 /// What the filter does with the messages of a shared channel of gateway-1, at times that the test says.
