@@ -66,12 +66,14 @@ struct PlacedOrder {
   OrderRecord order;
 };
 
-/// One-time queries, for the master and tests. \throws RegistryError.
+/// One-time queries, for the master and tests. Ids of gateways and instances and names of drivers are those of the
+/// nodes' paths, whatever the records there say: a record that somebody has forged is that of its own place only.
+/// \throws RegistryError.
 std::vector<DriverRecord> list_drivers(Registry& registry, const Paths& paths);  ///< with their channels
 /// The first step of list_drivers(): the paths of all instances' nodes. The next steps are driver_of() for each node,
 /// and read_unnamed_channels().
 std::vector<std::string> list_instances(Registry& registry, const Paths& paths);
-/// The record in a node at `path`; nullopt: the node is gone, or its bytes are no record.
+/// The record of an instance in a node at `path`; nullopt: the node is gone, or its bytes are no record.
 std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std::string& path);
 /// Reads the channels of those records that name none, as the original's gateways write them. \throws RegistryError.
 void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<DriverRecord>& drivers);

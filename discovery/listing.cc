@@ -67,6 +67,13 @@ void describe(TopologyStatus& status, const Submission& submission, std::vector<
   status.places = std::move(places);
 }
 
+/// A channel is its instance's, whatever its record says.
+void belong_to(const DriverRecord& driver, ChannelRecord& channel) {
+  channel.driver = driver.name;
+  channel.instance = driver.instance;
+  channel.gateway = driver.gateway;
+}
+
 }  // namespace
 
 std::vector<std::string> list_instances(Registry& registry, const Paths& paths) {
@@ -75,7 +82,10 @@ std::vector<std::string> list_instances(Registry& registry, const Paths& paths) 
 
 std::optional<DriverRecord> driver_of(const std::optional<Node>& node, const std::string& path) {
   auto driver = record_of(node, path, decode_driver);
-  if (driver && driver->instance.empty()) driver->instance = InstanceId(name_of(path));
+  if (!driver) return driver;
+  driver->name = DriverName(name_of(parent_of(path)));
+  driver->instance = InstanceId(name_of(path));
+  for (auto& channel : driver->channels) belong_to(*driver, channel);
   return driver;
 }
 
@@ -91,7 +101,11 @@ void read_unnamed_channels(Registry& registry, const Paths& paths, std::vector<D
   const auto nodes = registry.get_readable(channels);
   for (std::size_t i = 0; i < channels.size(); ++i) {
     auto channel = record_of(nodes[i], channels[i], decode_channel);
-    if (channel) drivers[place_of.at(parent_of(channels[i]))].channels.push_back(std::move(*channel));
+    if (!channel) continue;
+    auto& driver = drivers[place_of.at(parent_of(channels[i]))];
+    channel->name = name_of(channels[i]);
+    belong_to(driver, *channel);
+    driver.channels.push_back(std::move(*channel));
   }
 }
 
@@ -115,6 +129,7 @@ std::vector<GatewayStatus> list_gateways(Registry& registry, const Paths& paths)
     const GatewayId id(name);
     GatewayStatus status;
     status.record = std::move(record);
+    status.record.id = id;
     alive.push_back(paths.gateway_alive(id));
     draining.push_back(paths.gateway_draining(id));
     frozen.push_back(freeze_path(paths, id));

@@ -241,6 +241,37 @@ TEST_F(Directory, ListsDriversWithTheirChannels) {
   EXPECT_EQ(drivers[0].channels[0].name, "control");
 }
 
+TEST_F(Directory, ListsRecordsAsThoseOfTheirPlacesWhateverTheySay) {
+  auto untrue = driver("victim", DriverState::active);
+  untrue.name = "kinect"_driver;
+  ChannelRecord channel;
+  channel.name = "control";
+  channel.driver = "kinect"_driver;
+  channel.instance = "victim"_instance;
+  channel.gateway = "another"_gateway;
+  put(*writer_, paths_.channel("turtle"_driver, "mine"_instance, "kinect"), encode(channel));
+  put(*writer_, paths_.instance("turtle"_driver, "mine"_instance), encode(untrue));
+  untrue.channels = {channel};
+  put(*writer_, paths_.instance("turtle"_driver, "other"_instance), encode(untrue));
+  const auto drivers = list_drivers(*registry_, paths_);
+  ASSERT_EQ(drivers.size(), 2U);
+  for (const auto& [one, name] : {std::pair(drivers[0], "kinect"), std::pair(drivers[1], "control")}) {
+    EXPECT_EQ(one.name, "turtle");
+    ASSERT_EQ(one.channels.size(), 1U);
+    EXPECT_EQ(one.channels[0].name, name);
+    EXPECT_EQ(one.channels[0].driver, "turtle");
+    EXPECT_EQ(one.channels[0].instance, one.instance);
+    EXPECT_EQ(one.channels[0].gateway, "gw");
+  }
+  EXPECT_EQ(drivers[0].instance, "mine");
+  EXPECT_EQ(drivers[1].instance, "other");
+
+  GatewayRecord gateway;
+  gateway.id = "lab1"_gateway;
+  put(*writer_, paths_.gateway("aaa"_gateway), encode(gateway));
+  EXPECT_EQ(list_gateways(*registry_, paths_).at(0).record.id, "aaa");
+}
+
 TEST_F(Directory, ListsGatewaysAndWhetherTheyLive) {
   for (const char* id : {"a", "b"}) {
     GatewayRecord record;

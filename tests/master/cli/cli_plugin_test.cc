@@ -7,6 +7,7 @@
 
 #include <iotcloud/security/ed25519.h>
 #include <iotcloud/security/sha256.h>
+#include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/master/cli/cli_fixture.h>
 #include <iotcloud/tests/master/cli/receiving_gateway.h>
@@ -84,6 +85,23 @@ TEST_F(CliPlugin, ABackupNamesWhatWasSentAndImportSendsItToGatewaysThatLostIt) {
   const auto other = run({"registry", "import", backup, "--plugin", write("meter.so", "meter")});
   EXPECT_EQ(other.status, 2);
   EXPECT_THAT(other.err, HasSubstr("no order of " + backup + " names a plugin"));
+}
+
+TEST_F(CliPlugin, AFileForAGatewayGoesToNobodyWhoseRecordSaysThatItIsThatGateways) {
+  const auto thief = std::make_shared<ReceivingSite>("lab1");
+  const rpc::ThriftServer service(
+      {}, [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(thief)](const auto&) { return p; });
+  const FakeGateway seized(url, "aaa");  // comes before the others
+  serve_at(url, "aaa", service.port());
+  const discovery::Paths paths;
+  const auto registry = open_registry(url);
+  auto record = discovery::decode_gateway(registry->get(paths.gateway("aaa"_gateway))->data, "aaa");
+  record.id = "lab1"_gateway;
+  discovery::put(*registry, paths.gateway("aaa"_gateway), encode(record));
+  const auto done = run({"deploy", "--plugin", write("turtle.so", "secret"), "--gateway", "lab1"});
+  EXPECT_EQ(done.status, 0) << done.err;
+  EXPECT_EQ(lab1_.site->received(), "secret");
+  EXPECT_EQ(thief->offers(), 0u);
 }
 
 TEST_F(CliPlugin, APlainNameIsAFileOfTheGatewaysWhateverFilesAreHere) {

@@ -337,6 +337,23 @@ TEST_F(OriginalGatewayTest, WhatItUnregistersGoes) {
   EXPECT_THAT((*master)->gateways(), IsEmpty());
 }
 
+TEST_F(OriginalGatewayTest, WhatItUnregistersIsNothingOfOthersWhateverARecordThatNamesItSays) {
+  register_site(site());
+  discovery::DriverRecord victim;
+  victim.name = "turtle"_driver;
+  victim.instance = "victim"_instance;
+  victim.gateway = "lab2"_gateway;
+  const auto its_record = paths.instance("turtle"_driver, "victim"_instance);
+  discovery::put(*registry, its_record, encode(victim));
+  victim.gateway = "java1"_gateway;
+  discovery::put(*registry, paths.instance("turtle"_driver, "mine"_instance), encode(victim));
+  TResponse response;
+  ToMaster(for_gateways->port())->unRegisterSite(response, site());
+  EXPECT_EQ(response.state, TResponseState::SUCCESS) << response.statusMessage;
+  EXPECT_TRUE(registry->get(its_record));
+  EXPECT_FALSE(registry->get(paths.instance("turtle"_driver, "mine"_instance)));
+}
+
 TEST_F(OriginalGatewayTest, IsTendedByTheMasterThatComesToLeadNext) {
   register_site(site());
   for_gateways.reset();
