@@ -95,11 +95,11 @@ std::optional<OrderResult> find_targets(const DeployRequest& request, const std:
 }
 
 /// Whether an instance runs as an order wants it that was given before, in all but its epoch.
-bool is_as_wanted(const LocatedInstance& where, const OrderRecord& before, const OrderRecord& wanted) {
+bool is_as_wanted(const std::optional<discovery::DriverRecord>& record, const OrderRecord& before,
+                  const OrderRecord& wanted) {
   const discovery::Deployment &now = before, &then = wanted;
-  if (!(now == then) || !where.record) return false;
-  const auto record = discovery::driver_of(where.record, where.instance.str());
-  return record && record->state == (wanted.active ? discovery::DriverState::active : discovery::DriverState::inactive);
+  return now == then && record &&
+         record->state == (wanted.active ? discovery::DriverState::active : discovery::DriverState::inactive);
 }
 
 }  // namespace
@@ -181,7 +181,7 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
     if (!runs || (!ordered && !gateway.frozen.empty())) {
       outcome.outcome = OrderOutcome::unknown;
       OrderDesk::set_outcome(outcome, this->order(gateway, order, watch));
-    } else if (ordered && is_as_wanted(there.at(order.instance), *before, order)) {
+    } else if (ordered && is_as_wanted(desk_.book.record_of(there.at(order.instance)), *before, order)) {
       outcome.outcome = OrderOutcome::done;
       outcome.reason = "unchanged: it is deployed so already";
       // If the gateway is lost, the instance's record is out of date, so the outcome is another one.

@@ -45,7 +45,9 @@ OrderResult Draining::drain_all(const GatewaySelection& selection, bool undo) {
   });
   std::set<discovery::InstanceId> instances;
   for (const auto& placed : orders) instances.insert(placed.order.instance);
-  const auto located = desk_.book.locate(instances, {});
+  auto drained_gateways = known;
+  std::erase_if(drained_gateways, [&](const auto& gateway) { return !ids.contains(gateway.record.id); });
+  const auto located = desk_.book.locate(instances, drained_gateways);
 
   OrderResult result;
   OutcomeWatch watch(desk_.registry, desk_.options.paths,
@@ -53,8 +55,8 @@ OrderResult Draining::drain_all(const GatewaySelection& selection, bool undo) {
   std::vector<LocatedInstance> drained;
   for (const auto& [gateway, order] : orders) {
     const auto found = located.find(order.instance);
-    drained.push_back(found == located.end() ? LocatedInstance{order.instance, gateway, {}, std::nullopt}
-                                             : found->second);
+    const bool is_here = found != located.end() && found->second.gateway == gateway;
+    drained.push_back(is_here ? found->second : LocatedInstance{order.instance, gateway, {}, std::nullopt});
   }
   desk_.order_each(drained, result, [&](const LocatedInstance& where) {
     return this->order(where, *find(known, where.gateway), undo, watch);
@@ -88,9 +90,9 @@ EarlyOutcome Draining::order(const LocatedInstance& where, const GatewayStatus& 
     });
     if (early) return early;
     if (auto postponed = waiting(gateway)) return postponed;
-    const bool had_failed =
-        where.record && discovery::decode_driver(where.record->data, where.instance).state == DriverState::failed;
-    if (had_failed && !undo) return ReasonedOutcome{OrderOutcome::done, "it had failed before"};
+    const auto record = desk_.book.record_of(where);
+    if (record && record->state == DriverState::failed && !undo)
+      return ReasonedOutcome{OrderOutcome::done, "it had failed before"};
     watch.expect(where.instance, where.driver, where.record);
     return std::nullopt;
   });

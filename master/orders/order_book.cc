@@ -8,7 +8,6 @@
 
 namespace iotcloud::master {
 
-using discovery::DriverName;
 using discovery::GatewayId;
 using discovery::GatewayStatus;
 using discovery::InstanceId;
@@ -87,42 +86,66 @@ OrderResult refuse_gateway(const GatewayId& id, const std::vector<GatewayStatus>
 
 std::map<InstanceId, LocatedInstance> OrderBook::locate(const std::set<InstanceId>& instances,
                                                         const std::vector<GatewayStatus>& known) {
-  using Names = std::vector<std::string>;
-  const auto names = registry_.children(paths_.sensors).value_or(Names{});
-  const std::vector<DriverName> drivers(names.begin(), names.end());
-  Names parents;
-  for (const auto& driver : drivers) parents.push_back(paths_.driver(driver));
-  const auto records = registry_.children_of_readable(parents);
-  std::vector<LocatedInstance> found;
-  Names paths;
-  for (std::size_t i = 0; i < drivers.size(); ++i) {
-    for (const auto& name : records[i].value_or(Names{})) {
-      const InstanceId instance(name);
-      if (!instances.contains(instance)) continue;
-      found.push_back({instance, {}, drivers[i], std::nullopt});
-      paths.push_back(paths_.instance(drivers[i], instance));
-    }
-  }
-  auto nodes = registry_.get_readable(paths);
   std::map<InstanceId, LocatedInstance> located;
-  for (std::size_t i = 0; i < found.size(); ++i) {
-    if (!nodes[i] || nodes[i]->data.empty()) continue;
-    found[i].gateway = discovery::decode_driver(nodes[i]->data, paths[i]).gateway;
-    found[i].record = std::move(nodes[i]);
-    located.emplace(found[i].instance, std::move(found[i]));
-  }
-  if (located.size() == instances.size()) return located;
-  Names orders;
-  for (const auto& gateway : known) orders.push_back(paths_.orders(gateway.record.id));
-  const auto ordered = registry_.children_of_readable(orders);
-  for (std::size_t i = 0; i < known.size(); ++i) {
-    for (const auto& name : ordered[i].value_or(Names{})) {
-      const InstanceId instance(name);
-      if (instances.contains(instance))
-        located.emplace(instance, LocatedInstance{instance, known[i].record.id, {}, {}});
-    }
+  const auto ordered = ordered_on(instances, known);
+  for (const auto& [instance, gateway] : ordered)
+    located.emplace(instance, LocatedInstance{instance, gateway, {}, std::nullopt});
+  auto paths = discovery::list_instances(registry_, paths_);
+  std::erase_if(paths,
+                [&](const auto& path) { return !instances.contains(InstanceId(path.substr(path.rfind('/') + 1))); });
+  auto nodes = registry_.get_readable(paths);
+  for (std::size_t i = 0; i < paths.size(); ++i) {
+    if (!nodes[i] || nodes[i]->data.empty()) continue;  // its channels come first
+    const auto record = discovery::driver_of(nodes[i], paths[i]);
+    if (!record) continue;
+    const bool is_ordered = ordered.contains(record->instance);
+    auto& found = located[record->instance];
+    if (is_ordered && !record->gateway.empty() && record->gateway != found.gateway) continue;
+    // Of two, the later one was made by somebody who knew the id.
+    if (found.record && found.record->created < nodes[i]->created) continue;
+    found.instance = record->instance;
+    found.driver = record->name;
+    if (!is_ordered) found.gateway = record->gateway;
+    found.record = std::move(nodes[i]);
   }
   return located;
+}
+
+/// The gateways on which the instances have orders.
+std::map<InstanceId, GatewayId> OrderBook::ordered_on(const std::set<InstanceId>& instances,
+                                                      const std::vector<GatewayStatus>& known) {
+  std::vector<std::string> parents;
+  for (const auto& gateway : known) parents.push_back(paths_.orders(gateway.record.id));
+  const auto names = registry_.children_of_readable(parents);
+  std::map<InstanceId, std::vector<GatewayId>> candidates;
+  for (std::size_t i = 0; i < known.size(); ++i) {
+    for (const auto& name : names[i].value_or(std::vector<std::string>())) {
+      const InstanceId instance(name);
+      if (instances.contains(instance)) candidates[instance].push_back(known[i].record.id);
+    }
+  }
+  std::map<InstanceId, GatewayId> ordered;
+  for (const auto& [instance, gateways] : candidates)
+    ordered.emplace(instance, gateways.size() == 1 ? gateways.front() : true_place(instance, gateways));
+  return ordered;
+}
+
+/// Where an instance is of which several gateways have an order: one that this master's like have signed counts, and
+/// then the one that was made first. Whoever makes a gateway of a name that nobody has can make orders there, too.
+GatewayId OrderBook::true_place(const InstanceId& instance, const std::vector<GatewayId>& gateways) {
+  std::vector<std::string> paths;
+  for (const auto& gateway : gateways) paths.push_back(paths_.order(gateway, instance));
+  const auto nodes = registry_.get_readable(paths);
+  std::optional<std::pair<bool, std::int64_t>> first;
+  GatewayId place = gateways.front();
+  for (std::size_t i = 0; i < paths.size(); ++i) {
+    if (!nodes[i]) continue;
+    const std::pair rank{!is_ours(paths[i], nodes[i]->data), nodes[i]->created};
+    if (first && *first < rank) continue;
+    first = rank;
+    place = gateways[i];
+  }
+  return place;
 }
 
 std::optional<OrderResult> OrderBook::find_selected(const InstanceSelection& selection,
@@ -149,6 +172,11 @@ std::optional<OrderResult> OrderBook::find_selected(const InstanceSelection& sel
     instances.push_back(std::move(where->second));
   }
   return std::nullopt;
+}
+
+std::optional<discovery::DriverRecord> OrderBook::record_of(const LocatedInstance& where) const {
+  if (!where.record) return std::nullopt;
+  return discovery::driver_of(where.record, paths_.instance(where.driver, where.instance));
 }
 
 std::optional<OrderRecord> OrderBook::get(const GatewayId& gateway, const InstanceId& instance) {

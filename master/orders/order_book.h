@@ -60,8 +60,10 @@ class OrderBook {
             const Seal& seal, const IsSealed& is_sealed)
       : registry_(registry), paths_(paths), leadership_(leadership), seal_(seal), is_sealed_(is_sealed) {}
 
-  /// Finds the instances that have a record, or an order on a gateway in `known`. Takes the same few rounds of reads
-  /// however many instances there are.
+  /// Finds the instances that have an order on a gateway in `known`, or else a record. An instance is where its order
+  /// stands, because only masters write orders; whoever may write one gateway's records may make one with any
+  /// instance's id. Records that cannot be read are passed over. Takes the same few rounds of reads however many
+  /// instances there are.
   std::map<discovery::InstanceId, LocatedInstance> locate(const std::set<discovery::InstanceId>& instances,
                                                           const std::vector<discovery::GatewayStatus>& known);
 
@@ -71,6 +73,8 @@ class OrderBook {
                                            const std::vector<discovery::GatewayStatus>& known,
                                            std::vector<LocatedInstance>& instances);
 
+  /// What the record says that was found; nullopt: there is none.
+  std::optional<discovery::DriverRecord> record_of(const LocatedInstance& where) const;
   /// The instance's present order; nullopt: there is none.
   std::optional<discovery::OrderRecord> get(const discovery::GatewayId& gateway, const discovery::InstanceId& instance);
   void create(const discovery::GatewayId& gateway, discovery::OrderRecord order, const discovery::Lead& lead);
@@ -104,6 +108,10 @@ class OrderBook {
   void forget_given(const discovery::GatewayId& gateway) { given_.forget(paths_.orders(gateway)); }
 
  private:
+  std::map<discovery::InstanceId, discovery::GatewayId> ordered_on(const std::set<discovery::InstanceId>& instances,
+                                                                   const std::vector<discovery::GatewayStatus>& known);
+  discovery::GatewayId true_place(const discovery::InstanceId& instance,
+                                  const std::vector<discovery::GatewayId>& gateways);
   void put_signed(const std::string& path, const std::optional<discovery::Node>& node, const std::string& order,
                   std::int64_t given_ms, const discovery::Lead& lead);
   /// A master that does not sign asks nobody when an order was given, and remembers nothing.

@@ -1,5 +1,6 @@
 #include <fmt/format.h>
 
+#include <iotcloud/discovery/directory.h>
 #include <iotcloud/master/orders/outcome_watch.h>
 
 namespace iotcloud::master {
@@ -40,8 +41,8 @@ void OutcomeWatch::expect(const InstanceId& instance, const DriverName& driver, 
     auto& expected = expected_[instance];
     if (before) expected.before = {before->created, before->version};
     if (before && (wanted_ == Wanted::anew || version.anew)) {
-      const auto record = discovery::decode_driver(before->data, instance);
-      expected.state_before = {record.state, record.since_ms};
+      if (const auto record = discovery::driver_of(before, paths_.instance(driver, instance)))
+        expected.state_before = {record->state, record->since_ms};
     }
     expected.version = std::move(version);
     ++open_;

@@ -157,8 +157,9 @@ std::string RollingUpdate::obstacle(UpdatedInstance& updated, const std::vector<
   if (gateway == nullptr) return "its gateway is not registered any more";
   if (!gateway->alive) return "its gateway is lost, so nobody could see whether the update comes off";
   if (desk_.is_direct(updated.where.gateway)) return "its gateway is of the original system, which knows no updates";
-  if (!updated.where.record) return "its gateway has not taken it up yet; try again in a moment";
-  updated.record = discovery::decode_driver(updated.where.record->data, updated.where.instance);
+  auto record = desk_.book.record_of(updated.where);
+  if (!record) return "its gateway has not taken it up yet; try again in a moment";
+  updated.record = std::move(*record);
   return "";
 }
 
@@ -227,16 +228,16 @@ bool RollingUpdate::stays_up(const Step& step) {
       logger.warn("cannot see whether an update stays up: {}", e.what());
     }
     for (std::size_t i = 0; i < nodes.size(); ++i) {
-      if (!nodes[i]) continue;
-      const auto record = discovery::decode_driver(nodes[i]->data, paths[i]);
-      const auto since = up_since.emplace(record.instance, record.since_ms).first->second;
-      const bool up = record.state == DriverState::inactive ||
-                      (record.state == DriverState::active && (record.since_ms == since || record.reason.empty()));
+      const auto record = discovery::driver_of(nodes[i], paths[i]);
+      if (!record) continue;
+      const auto since = up_since.emplace(record->instance, record->since_ms).first->second;
+      const bool up = record->state == DriverState::inactive ||
+                      (record->state == DriverState::active && (record->since_ms == since || record->reason.empty()));
       if (up) continue;
       auto& outcome = watched[i]->outcome;
       outcome.outcome = OrderOutcome::failed;
-      outcome.reason = fmt::format("it came up and did not stay so: {}{}{}", to_string(record.state),
-                                   record.reason.empty() ? "" : ", ", record.reason);
+      outcome.reason = fmt::format("it came up and did not stay so: {}{}{}", to_string(record->state),
+                                   record->reason.empty() ? "" : ", ", record->reason);
       failure_ = fmt::format("{} on {}: {}", outcome.instance, outcome.gateway, outcome.reason);
       return false;
     }
