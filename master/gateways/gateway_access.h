@@ -10,7 +10,8 @@ namespace iotcloud::master {
 
 /// The credentials that this master shows to the gateways' Thrift services.
 struct GatewayAccess {
-  security::TlsFiles tls;  ///< for gateways that speak TLS
+  /// For gateways that speak TLS. A master that has them calls others only on loopback, or if they are of the original.
+  security::TlsFiles tls;
   /// Its first line is the token for gateways that speak TLS; empty: none. "{gateway}" in it stands for a gateway's id,
   /// so that each gateway is shown a token of its own.
   std::string token_file;
