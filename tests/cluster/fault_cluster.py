@@ -36,7 +36,7 @@ metrics: {{address: "{{metrics}}"}}
 brokers:
   {{broker}}: {{heartbeat: {HEARTBEAT_S}s{{urls}}}}
 spouts:
-  receive: {{broker: {{broker}}, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: 2{{spout}}}}
+  receive: {{broker: {{broker}}, driver: loadgen, channel: data, fields: [data, driverID, time], parallelism: 2}}
 bolts:{{bolt}}
   send:
     broker: {{broker}}
@@ -68,16 +68,15 @@ def ours(line):
 class FaultCluster(PrivateCluster):
     """Workers and load generators by name, which may be killed, frozen and started again."""
 
-    def __init__(self, build, name, registry="zookeeper", library=None, bolt="", spout="", broker="rabbitmq",
-                 guarded=False):
-        """`library` and `bolt`: a component library, and the bolt `between` of it, as YAML; `spout`: more properties of
-        the spout. On Kafka the drivers share a topic on each gateway. `guarded`: all daemons have a user of the registry,
-        without which they refuse one that is not on loopback."""
+    def __init__(self, build, name, registry="zookeeper", library=None, bolt="", broker="rabbitmq", guarded=False):
+        """`library` and `bolt`: a component library, and the bolt `between` of it, as YAML. On Kafka the drivers share a
+        topic on each gateway. `guarded`: all daemons have a user of the registry, without which they refuse one that is
+        not on loopback."""
         build = Path(build).resolve()
         self.work = build / "cluster-tests" / name
         shutil.rmtree(self.work, ignore_errors=True)
         super().__init__(self.work, build / "bin", build / "plugins")
-        self.registry_kind, self.library, self.bolt, self.spout = registry, library, bolt, spout
+        self.registry_kind, self.library, self.bolt = registry, library, bolt
         self.broker, self.guarded = broker, guarded
         self.reports, self.started, self.pages = [], 0, {}
         self.password = self.out / "registry.password"
@@ -117,7 +116,7 @@ class FaultCluster(PrivateCluster):
         configuration = TOPOLOGY
         library = f'topology.library: "{self.plugins / self.library}"' if self.library else ""
         for key, value in (("zookeeper", listed), ("urls", urls), ("metrics", address), ("library", library),
-                           ("broker", self.broker), ("spout", self.spout), ("bolt", self.bolt),
+                           ("broker", self.broker), ("bolt", self.bolt),
                            ("last", "between" if self.bolt else "receive")):
             configuration = configuration.replace("{" + key + "}", value)
         self.daemon("iotcloud-topology", name, configuration, isle.enter if isle else (), ("--log-level", "debug"))
