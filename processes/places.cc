@@ -6,7 +6,6 @@
 
 #include <arpa/inet.h>
 #include <fmt/format.h>
-#include <net/if.h>
 #include <netdb.h>
 #include <netinet/in.h>
 

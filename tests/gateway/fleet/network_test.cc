@@ -1,10 +1,9 @@
 // Whom driver hosts reach that may connect to some places only, as drivers in real processes see it.
 #include <array>
-#include <atomic>
-#include <fstream>
 #include <map>
 #include <mutex>
 #include <set>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <thread>
@@ -135,7 +134,9 @@ TEST_F(HostsWithANetwork, ConnectToThePlacesOfTheirDeploymentAndByNoWayToAnother
     EXPECT_EQ(outcome, "ok") << fact << ", the attack, without a confinement";
   }
   EXPECT_NE(found["another_protocol"], "EPERM");
-  EXPECT_NE(found["another_way"], "EPERM");
+  if (geteuid() == 0) {
+    EXPECT_NE(found["another_way"], "EPERM") << "which the kernel lets only those do who have rights";
+  }
   EXPECT_EQ(found["raced"], "yes");
   EXPECT_TRUE(was_reached(other.socket()));
   end();
