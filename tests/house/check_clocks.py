@@ -40,6 +40,7 @@ STAMPS_OF_OTHERS = {
     "topology/worker/control.cc": "an order says until when its master waits, whichever process reads it",
     "tests/gateway/signed_orders_test.cc": "such orders",
     "tests/topology/pool/pool_test.cc": "such orders",
+    "tests/topology/storm/components.cc": "the age of a message by the time stamp that its driver wrote",
     "tests/topology/storm/task_hosts_test.cc": "such a birth",
     "tests/topology/worker/worker_control_test.cc": "such an order",
     "tests/topology/worker/worker_test.cc": "such a message",

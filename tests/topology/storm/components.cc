@@ -301,6 +301,45 @@ class Newest final : public topology::BasicBolt {
   std::map<std::string, std::int64_t> newest_;
 };
 
+/// Which task of the spout brought each driver's last message. Writes how many drivers each task has, and how old each
+/// driver's first message was when it came.
+class Readers final : public topology::BasicBolt {
+ public:
+  void prepare(const Config& config, const topology::TopologyContext& context) override {
+    config_ = config;
+    context_ = &context;
+  }
+  void execute(const Tuple& tuple, topology::BasicOutputCollector&) override {
+    if (tuple.is_tick()) {
+      if (changed_) write();
+      return;
+    }
+    const auto& driver = tuple.get<std::string>("driverID");
+    const auto [known, fresh] = readers_.try_emplace(driver, 0);
+    changed_ |= known->second != tuple.source_task();
+    known->second = tuple.source_task();
+    if (fresh) ages_ms_[driver] = context_->clock->wall_ms() - tuple.get<std::int64_t>("time");
+  }
+
+ private:
+  void write() {
+    changed_ = false;
+    std::map<int, int> drivers;
+    for (const auto& [driver, task] : readers_) ++drivers[task];
+    std::string text;
+    for (const auto& [task, count] : drivers)
+      text += "task-" + std::to_string(task) + " " + std::to_string(count) + "\n";
+    for (const auto& [driver, age] : ages_ms_) text += "driver-" + driver + " " + std::to_string(age) + "\n";
+    write_file(config_, *context_, text);
+  }
+
+  Config config_;
+  const topology::TopologyContext* context_ = nullptr;
+  bool changed_ = false;
+  std::map<std::string, int> readers_;
+  std::map<std::string, std::int64_t> ages_ms_;
+};
+
 /// Chooses the task whose place is the number modulo the count of tasks.
 class ByNumber final : public topology::Grouping {
  public:
@@ -329,5 +368,6 @@ IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
   registry.add_bolt<Later>("test.Later");
   registry.add_bolt<Count>("test.Count");
   registry.add_bolt<Newest>("test.Newest");
+  registry.add_bolt<Readers>("test.Readers");
   registry.add_grouping<ByNumber>("test.ByNumber");
 }
