@@ -29,9 +29,9 @@ namespace {
 constexpr milliseconds stop_limit{4000};
 /// Connections that have not proved that they are the gateway's. With more than that the oldest is closed.
 constexpr std::size_t most_strangers = 16;
-constexpr std::size_t longest_proof = 4096;  ///< bytes of the first frame
+constexpr std::size_t longest_proof = 4096;     ///< bytes of the first frame
 constexpr std::size_t most_unread = 64u << 20;  ///< bytes that wait for a gateway that stands still
-constexpr milliseconds log_pause{2000};      ///< the longest pause between checks of the log's size
+constexpr milliseconds log_pause{2000};         ///< the longest pause between checks of the log's size
 
 /// Whether a command of this kind is for instances, of which a host that refused its plugin has none.
 template <typename Command>
@@ -291,11 +291,12 @@ int ControlServer::run(int signals) {
   auto& self = *impl_;
   const auto& clock = config::system_clock();
   while (!self.shutdown_limit) {
-    std::vector<pollfd> on{{self.listener.get(), POLLIN, 0},
-                           {self.waker.get(), POLLIN, 0},
-                           {signals, POLLIN, 0},
-                           // poll() ignores descriptor -1
-                           {self.gateway.get(), static_cast<short>(self.outbox.empty() ? POLLIN : POLLIN | POLLOUT), 0}};
+    std::vector<pollfd> on{
+        {self.listener.get(), POLLIN, 0},
+        {self.waker.get(), POLLIN, 0},
+        {signals, POLLIN, 0},
+        // poll() ignores descriptor -1
+        {self.gateway.get(), static_cast<short>(self.outbox.empty() ? POLLIN : POLLIN | POLLOUT), 0}};
     for (const auto& stranger : self.strangers) on.push_back({stranger.connection.get(), POLLIN, 0});
     auto pause = std::min(self.options.orphan_limit, log_pause);
     const auto lease = self.host ? self.host->enforce_leases() : std::nullopt;

@@ -46,19 +46,20 @@ TEST(ProcessWatchTest, HearsAProcessThatSaysMuchBeforeItReadsWhatItIsTold) {
     options.folder = folder;
     options.socket = "talker.sock";
     options.hang_limit = tests::patience;
-    ProcessWatch watch(options,
-                       ChildProcess(spawn({"/usr/bin/python3", "-c", talker, folder / "talker.sock", std::to_string(many)},
-                                          folder / "talker.log"),
-                                    true),
-                       {[&](const std::string& body) {
-                          heard_all = body == "heard all";
-                          ++heard;
-                        },
-                        [] {},
-                        [&](const WatchedEnd& how) {
-                          const config::MutexLock lock(mutex);
-                          end = how.killed + how.how;
-                        }});
+    ProcessWatch watch(
+        options,
+        ChildProcess(spawn({"/usr/bin/python3", "-c", talker, folder / "talker.sock", std::to_string(many)},
+                           folder / "talker.log"),
+                     true),
+        {[&](const std::string& body) {
+           heard_all = body == "heard all";
+           ++heard;
+         },
+         [] {},
+         [&](const WatchedEnd& how) {
+           const config::MutexLock lock(mutex);
+           end = how.killed + how.how;
+         }});
     for (int i = 0; i < many; ++i) watch.send(frame(std::string(1000, 'y')));
     EXPECT_TRUE(tests::eventually([&] {
       const config::MutexLock lock(mutex);

@@ -120,9 +120,10 @@ void Words::declare(CLI::App& app) {
       add(app, "errors", "errors that a topology's components reported", [&] { return storm::errors(call, name); }));
   of_topology(add(app, "activate", "let the spouts go on", [&] { return storm::set_active(call, name, true); }));
   of_topology(add(app, "deactivate", "let the spouts pause", [&] { return storm::set_active(call, name, false); }));
-  CLI::App* rebalance = of_topology(add(app, "rebalance", "change the number of workers or executors, and wait until they run", [&] {
-    return storm::rebalance(call, name, workers, executors_of(executors), seconds(wait_s), seconds(limit_s));
-  }));
+  CLI::App* rebalance =
+      of_topology(add(app, "rebalance", "change the number of workers or executors, and wait until they run", [&] {
+        return storm::rebalance(call, name, workers, executors_of(executors), seconds(wait_s), seconds(limit_s));
+      }));
   rebalance->add_option("COMPONENT=EXECUTORS", executors, "how many tasks of a component may run at the same time");
   rebalance->add_option("--workers", workers, "worker processes")->check(CLI::Range(1, 10'000));
   CLI::App* set_log_level = of_topology(add(app, "set_log_level", "change what the workers log", [&] {

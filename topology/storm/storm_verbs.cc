@@ -137,8 +137,8 @@ bool all_report(const TopologyDetails& details) {
 /// Waits until all tasks run. \param done what the topology was told, for messages. \param goes_on whether what Nimbus
 /// says is about the workers that are to run, and not those of before. \throws NimbusError that says why they do not
 /// run, for one when a component reports an error that is not among those `of_before`.
-TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name, const std::string& done, seconds limit,
-                                   const std::vector<ReportedError>& of_before,
+TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name, const std::string& done,
+                                   seconds limit, const std::vector<ReportedError>& of_before,
                                    const std::function<bool(const TopologyDetails&)>& goes_on) {
   const auto end = std::chrono::steady_clock::now() + limit;
   auto all_reported = std::chrono::steady_clock::time_point::max();
@@ -157,8 +157,9 @@ TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name
     all_reported = running ? std::min(all_reported, now) : std::chrono::steady_clock::time_point::max();
     if (running && now - all_reported >= after_reports) return details;
     if (now >= end) {
-      throw NimbusError(fmt::format("{} was {}, but not all of it ran within {} s: {}", name, done, limit.count(),
-                                    goes_on(details) ? not_running(details) : "Nimbus has not changed its workers yet"));
+      throw NimbusError(
+          fmt::format("{} was {}, but not all of it ran within {} s: {}", name, done, limit.count(),
+                      goes_on(details) ? not_running(details) : "Nimbus has not changed its workers yet"));
     }
     std::this_thread::sleep_for(look_pause);
   }
@@ -169,8 +170,7 @@ using Placement = std::map<std::pair<std::string, int>, std::set<int>>;
 
 Placement placement_of(const TopologyDetails& details) {
   Placement placement;
-  for (const auto& executor : details.executors)
-    placement[{executor.host, executor.port}].insert(executor.first_task);
+  for (const auto& executor : details.executors) placement[{executor.host, executor.port}].insert(executor.first_task);
   return placement;
 }
 
@@ -324,12 +324,11 @@ int rebalance(const StormCall& call, const std::string& name, std::optional<int>
     return 0;
   }
   const Placement placement = placement_of(before);
-  const TopologyDetails details =
-      wait_until_running(nimbus, name, "told to rebalance", wait + limit, before.errors,
-                         [&](const TopologyDetails& now) {
-                           const auto passed = std::chrono::steady_clock::now() - began;
-                           return is_of_new_workers(now, placement, std::chrono::duration_cast<seconds>(passed));
-                         });
+  const TopologyDetails details = wait_until_running(
+      nimbus, name, "told to rebalance", wait + limit, before.errors, [&](const TopologyDetails& now) {
+        const auto passed = std::chrono::steady_clock::now() - began;
+        return is_of_new_workers(now, placement, std::chrono::duration_cast<seconds>(passed));
+      });
   if (workers && workers_of(details) != static_cast<std::size_t>(*workers))
     note(fmt::format("it has {} workers and not {}: are there free slots, and as many executors?", workers_of(details),
                      *workers));

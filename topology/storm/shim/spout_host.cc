@@ -18,7 +18,8 @@ class ExecutorWaker final : public SpoutWaker::Target {
 }  // namespace
 
 SpoutHost::SpoutHost(const TaskDescription& task, Component component, std::span<std::byte> buffer, CommandSink& sink)
-    : TaskHost(task, std::move(component), buffer, sink), waker_(std::make_shared<ExecutorWaker>(sink)),
+    : TaskHost(task, std::move(component), buffer, sink),
+      waker_(std::make_shared<ExecutorWaker>(sink)),
       complete_(histogram("iotcloud_spout_complete_seconds", "From emit to the ack of the whole tree")) {
   context_.waker = SpoutWaker(waker_);
   spout_ = spec_.spout();
