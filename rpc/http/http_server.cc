@@ -273,13 +273,17 @@ class HttpConnectionOver final : public HttpConnection,
       return *std::move(refused);
     }
     const auto target = parser_->get().target();
-    return answer_to(shared_.pages, {target.data(), target.size()});
+    const auto started = shared_.clock.now();
+    HttpAnswer made = answer_to(shared_.pages, {target.data(), target.size()});
+    // Without what the token took, of which the tries are limited.
+    page_took_ = shared_.clock.now() - started;
+    return made;
   }
 
   /// \param refused the answer instead of a page
   void write(std::optional<HttpAnswer> refused = std::nullopt) {
     begin();
-    const auto started = shared_.clock.now();
+    page_took_ = {};
     const auto& request = parser_->get();
     response_ = {};
     response_.version(request.version());
@@ -297,7 +301,7 @@ class HttpConnectionOver final : public HttpConnection,
       response_.set(http::field::allow, "GET, HEAD");
       response_.prepare_payload();
     }
-    shared_.turns.took(reader(), shared_.clock.now() - started);
+    shared_.turns.took(reader(), page_took_);
     socket_stream().expires_after(answer_limit);
     serializer_.emplace(response_);
     serializer_->split(head);
@@ -328,7 +332,8 @@ class HttpConnectionOver final : public HttpConnection,
   http::response<http::string_body> response_;
   std::optional<http::response_serializer<http::string_body>> serializer_;
   std::optional<security::TokenEntry> holder_;
-  std::string shown_;  ///< the header by which `holder_` was found
+  std::string shown_;                             ///< the header by which `holder_` was found
+  config::Clock::Instant::duration page_took_{};  ///< of the present answer
   asio::steady_timer turn_{stream_.get_executor()};
 };
 
