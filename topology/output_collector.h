@@ -63,6 +63,7 @@ class SpoutOutputCollector {
   static constexpr int no_task = -1;  ///< for `task`: the groupings choose the receivers
   /// \param id nullptr: not tracked.
   virtual void do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) = 0;
+  // NOLINTNEXTLINE(performance-unnecessary-value-param): what keeps the origin moves it
   virtual void do_emit_from(std::shared_ptr<const TupleOrigin> origin, std::string_view stream, Values&& values,
                             MessageId id) {
     (void)origin;

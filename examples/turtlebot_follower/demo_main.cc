@@ -88,6 +88,7 @@ int main(int argc, char** argv) {
   try {
     if (robots.empty()) robots = {{"gateway-1"}};
     std::vector<Robot> fleet;
+    fleet.reserve(robots.size());
     for (const auto& words : robots) fleet.push_back(parse_robot(words));
     iotcloud::local::LocalOptions options;
     options.name = "demo";
@@ -97,6 +98,7 @@ int main(int argc, char** argv) {
     iotcloud::local::LocalCluster cluster(options);
     cluster.run_topology(topology);
     std::vector<iotcloud::discovery::InstanceId> instances;
+    instances.reserve(fleet.size());
     for (const auto& [gateway, properties] : fleet) {
       instances.push_back(cluster.deploy("turtle.so", properties, gateway));
     }
