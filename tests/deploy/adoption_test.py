@@ -60,7 +60,7 @@ registry: "{self.zookeeper}"
 thrift: {{host: 127.0.0.1, port: {free_port()}}}
 plugins: /opt/iotcloud
 state: state
-host_hang_limit: 3s
+host_hang_limit: 15s
 # What the user alone keeps from a driver; other tests are about these.
 host_call_filter: false
 {HOST_USER if hosts_as else ""}
