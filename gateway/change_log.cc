@@ -27,7 +27,7 @@ ChangeLog::ChangeLog(std::size_t most, const std::string& file) : most_(most) {
 
 ChangeLog::~ChangeLog() = default;
 
-void ChangeLog::add(StateChange change) {
+void ChangeLog::add(const StateChange& change) {
   const config::MutexLock file_lock(file_mutex_);
   std::optional<std::deque<StateChange>> all;
   {

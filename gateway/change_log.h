@@ -43,7 +43,7 @@ class ChangeLog {
 
   /// Adds a change. An adopted instance reports its state again: the first change of an instance in this run is ignored
   /// if it equals the last one of the earlier run.
-  void add(StateChange change);
+  void add(const StateChange& change);
   /// Waits until the file's changes are on the disk. The gateway calls it about once a second.
   void sync();
   /// The changes of this instance, or of all instances if the id is empty; the oldest first.

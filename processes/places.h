@@ -21,6 +21,7 @@ namespace iotcloud::processes {
 struct Place {
   std::string host;        ///< a machine's name in small letters, or an address
   std::uint16_t port = 0;  ///< of TCP
+  // clang-tidy 14 takes the zero that it compares with for a pointer: NOLINTNEXTLINE(modernize-use-nullptr)
   friend auto operator<=>(const Place&, const Place&) = default;
 };
 
@@ -35,6 +36,7 @@ std::string to_text(const Place& place);
 struct IpAddress {
   std::array<unsigned char, 16> bytes{};
   std::uint32_t scope = 0;  ///< the interface of a local address
+  // clang-tidy 14 takes the zero that it compares with for a pointer: NOLINTNEXTLINE(modernize-use-nullptr)
   friend auto operator<=>(const IpAddress&, const IpAddress&) = default;
 };
 /// An address and a port of TCP.

@@ -103,6 +103,7 @@ std::vector<Item> ask_gateways(const Master& master, const GatewayAccess& access
                                std::function<void(std::vector<Item>&)> cut) {
   const auto known = master.gateways();
   std::vector<const discovery::GatewayStatus*> asked;
+  asked.reserve(gateways.empty() ? known.size() : gateways.size());
   for (const auto& id : gateways) asked.push_back(&find(known, id));
   if (gateways.empty()) {
     for (const auto& gateway : known) asked.push_back(&gateway);
@@ -110,6 +111,7 @@ std::vector<Item> ask_gateways(const Master& master, const GatewayAccess& access
   // An answer is added where it comes, so that no more than the threads have at once waits for the others.
   const auto gathered = std::make_shared<Gathered<Item>>(std::move(cut));
   std::vector<std::pair<discovery::GatewayId, std::future<void>>> answers;
+  answers.reserve(asked.size());
   const auto until = std::chrono::steady_clock::now() + all_limit;
   for (const auto* gateway : asked) {
     answers.emplace_back(gateway->record.id, asks.ask([gateway = *gateway, &access, until, question, gathered] {

@@ -161,6 +161,7 @@ std::vector<DriverChange> site_changes(const SiteAddress& site, const discovery:
   std::vector<gateway::wire::TStateChange> told;
   put(site, gateway, limit, [&](auto& client) { client.getChanges(told, instance); });
   std::vector<DriverChange> changes;
+  changes.reserve(told.size());
   for (auto& change : told) {
     changes.push_back({gateway, discovery::InstanceId(std::move(change.instance)),
                        discovery::DriverName(std::move(change.driver)), std::move(change.state),
@@ -174,6 +175,7 @@ std::vector<GatewayPlugin> site_plugins(const SiteAddress& site, const discovery
   std::vector<discovery::wire::TKnownPlugin> told;
   put(site, gateway, limit, [&](auto& client) { client.listPlugins(told); });
   std::vector<GatewayPlugin> plugins;
+  plugins.reserve(told.size());
   for (const auto& plugin : told) plugins.push_back({gateway, discovery::as_own<discovery::KnownPlugin>(plugin)});
   return plugins;
 }

@@ -115,6 +115,7 @@ std::map<InstanceId, LocatedInstance> OrderBook::locate(const std::set<InstanceI
 std::map<InstanceId, GatewayId> OrderBook::ordered_on(const std::set<InstanceId>& instances,
                                                       const std::vector<GatewayStatus>& known) {
   std::vector<std::string> parents;
+  parents.reserve(known.size());
   for (const auto& gateway : known) parents.push_back(paths_.orders(gateway.record.id));
   const auto names = registry_.children_of_readable(parents);
   std::map<InstanceId, std::vector<GatewayId>> candidates;
@@ -134,6 +135,7 @@ std::map<InstanceId, GatewayId> OrderBook::ordered_on(const std::set<InstanceId>
 /// then the one that was made first. Whoever makes a gateway of a name that nobody has can make orders there, too.
 GatewayId OrderBook::true_place(const InstanceId& instance, const std::vector<GatewayId>& gateways) {
   std::vector<std::string> paths;
+  paths.reserve(gateways.size());
   for (const auto& gateway : gateways) paths.push_back(paths_.order(gateway, instance));
   const auto nodes = registry_.get_readable(paths);
   std::optional<std::pair<bool, std::int64_t>> first;
