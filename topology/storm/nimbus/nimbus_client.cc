@@ -111,6 +111,17 @@ struct NotAlive : NimbusError {
   using NimbusError::NimbusError;
 };
 
+TopologyDetails as_details(const RunningTopology& topology, const idl::TopologyInfo& info) {
+  TopologyDetails details{topology, {}, errors_of(info.errors)};
+  for (const auto& executor : info.executors) {
+    if (is_own(executor.component_id)) continue;
+    details.executors.push_back({executor.component_id, executor.executor_info.task_start,
+                                 executor.executor_info.task_end, executor.host, executor.port, executor.uptime_secs,
+                                 executor.__isset.stats});
+  }
+  return details;
+}
+
 }  // namespace
 
 struct NimbusClient::Impl {
@@ -258,27 +269,24 @@ std::vector<RunningTopology> NimbusClient::topologies() {
 }
 
 std::optional<TopologyDetails> NimbusClient::details(const std::string& name) {
-  const auto all = topologies();
-  const auto found = std::find_if(all.begin(), all.end(), [&](const auto& one) { return one.name == name; });
-  if (found == all.end()) return std::nullopt;
-  const auto info = impl_->ask([&](Client& client) -> std::optional<idl::TopologyInfo> {
-    idl::TopologyInfo answer;
-    try {
-      client.getTopologyInfoByName(answer, name);
-    } catch (const idl::NotAliveException&) {
-      return std::nullopt;  // it ended since it was listed
-    }
-    return answer;
-  });
-  if (!info) return std::nullopt;
-  TopologyDetails details{*found, {}, errors_of(info->errors)};
-  for (const auto& executor : info->executors) {
-    if (is_own(executor.component_id)) continue;
-    details.executors.push_back({executor.component_id, executor.executor_info.task_start,
-                                 executor.executor_info.task_end, executor.host, executor.port, executor.uptime_secs,
-                                 executor.__isset.stats});
+  const auto end = std::chrono::steady_clock::now() + impl_->patience;
+  while (true) {
+    const auto all = topologies();
+    const auto found = std::find_if(all.begin(), all.end(), [&](const auto& one) { return one.name == name; });
+    if (found == all.end()) return std::nullopt;
+    const auto info = impl_->ask([&](Client& client) -> std::optional<idl::TopologyInfo> {
+      idl::TopologyInfo answer;
+      try {
+        client.getTopologyInfoByName(answer, name);
+      } catch (const idl::NotAliveException&) {
+        return std::nullopt;  // it ended since it was listed, or this Nimbus has just begun to lead, see order()
+      }
+      return answer;
+    });
+    if (info) return as_details(*found, *info);
+    if (std::chrono::steady_clock::now() >= end) return std::nullopt;
+    std::this_thread::sleep_for(search_pause);
   }
-  return details;
 }
 
 std::string NimbusClient::id_of(const std::string& name) {
