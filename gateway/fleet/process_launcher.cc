@@ -30,9 +30,7 @@ namespace {
 
 constexpr std::chrono::milliseconds hello_pause{100};
 constexpr std::string_view socket_suffix = ".sock";
-/// Of a file beside a host's socket, that says to what the host was started to connect. Hosts do not reach it.
-constexpr std::string_view network_suffix = ".network";
-/// Lines of that file: with the deployment's property as it is, and with each place.
+/// Lines of the file with network_suffix: with the deployment's property as it is, and with each place.
 constexpr std::string_view of_deployment = "deployment ", of_place = "place ";
 
 void add_confinement(std::vector<std::string>& arguments, const processes::Confinement& confinement) {

@@ -191,7 +191,9 @@ void ProcessLink::show_metrics(std::vector<config::Sample> samples) {
 }
 
 void ProcessLink::ended(const processes::WatchedEnd& end) {
-  for (const char* of_host : {"", ".network"}) unlink((options_.state_dir + "/" + socket_name_ + of_host).c_str());
+  const std::string socket = options_.state_dir + "/" + socket_name_;
+  unlink(socket.c_str());
+  unlink((socket + std::string(network_suffix)).c_str());
   if (options_.brokers) options_.brokers->forget(socket_name_);
   if (options_.metrics) options_.metrics->forget(name_, watch_.process());
   if (!refused_.empty()) {

@@ -4,6 +4,7 @@
 #include <functional>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
@@ -12,6 +13,9 @@
 #include <iotcloud/processes/process_watch.h>
 
 namespace iotcloud::gateway {
+
+/// Of a file beside a host's socket, that says to what the host was started to connect. Hosts do not reach it.
+inline constexpr std::string_view network_suffix = ".network";
 
 /// The link to a driver host process.
 class ProcessLink final : public HostLink {
