@@ -27,7 +27,9 @@ from private_cluster import PrivateCluster  # noqa: E402
 ROOT = HERE.parents[1]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 FILE = re.compile(r"^`([\w.]+)`:\s*\Z", re.MULTILINE)
-JOB_NOTICE = re.compile(r"bash: line \d+: +\d+ |\[\d+\][ +-]")  # of the shell, when a job ended
+# What no page shows: the shell's words when a job ended, and what an order waits for, which the command line tells when the
+# order takes long.
+NOTICE = re.compile(r"bash: line \d+: +\d+ |\[\d+\][ +-]|iotcloud: waits: ")
 LIMIT_S = 600  # of one command: it may build beside other builds and tests
 # What the pages run in the project's folder. Here the programs are installed by CMake and private servers run; the demo has a test
 # of its own.
@@ -63,7 +65,7 @@ def pattern(expected):
 
 
 def printed(output):
-    lines = [" ".join(line.split()) for line in output.splitlines() if not JOB_NOTICE.match(line)]
+    lines = [" ".join(line.split()) for line in output.splitlines() if not NOTICE.match(line)]
     return "".join(line + "\n" for line in lines if line)
 
 
