@@ -24,7 +24,7 @@ ARG JOBS
 ARG PROGRAMS="iotcloud iotcloud-master iotcloud-gateway iotcloud-driver-host iotcloud-topology iotcloud-run iotcloud-robot \
   iotcloud-record loadgen turtle turtle_ros turtlebot_follower"
 ARG CLIENTS="bench_brokers_iotcloud bench_brokers_rabbitmq bench_brokers_kafka"
-RUN cmake --preset release -DBUILD_TESTING=OFF -DIOTCLOUD_BENCHMARKS=ON -DIOTCLOUD_PRECOMPILE= \
+RUN cmake --preset release -DBUILD_TESTING=OFF -DIOTCLOUD_BENCHMARKS=ON \
  && ninja -C build/release ${JOBS:+-j ${JOBS}} ${PROGRAMS} ${CLIENTS} \
  && for part in ${PROGRAMS} ${CLIENTS}; do \
       cmake --install build/release --strip --prefix /out --component ${part} || exit 1; \

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 """The container image has every program and plugin that an installation has, and the libraries that component libraries of
-users need; its stage `build` installs what `./dev` installs to compile them.
+users need; its stage `build` installs what `./dev` installs to compile them, and compiles them as the preset release does.
 
 usage: programs_test.py
 """
@@ -39,6 +39,11 @@ class Image(unittest.TestCase):
         stage = words_of(self.dockerfile, r"AS build\n.*?--no-install-recommends((?:[^\n]*\\\n)*[^\n]*)\n")
         needed = set().union(*(words_of(self.dev, rf"\n{kind}_packages=\(([^)]*)\)") for kind in ("build", "store", "ros")))
         self.assertEqual(stage, needed - NOT_IN_STAGE - {"python3-rosmaster", "libsasl2-modules"})
+
+    def test_compiles_as_the_preset_release_does(self):
+        # Warnings are errors, and which ones GCC gives depends on how it compiles: only what is left out may differ.
+        options = re.findall(r"cmake --preset release((?: -D\S+)*) \\\n && ninja", self.dockerfile)
+        self.assertEqual(options, [" -DBUILD_TESTING=OFF -DIOTCLOUD_BENCHMARKS=ON"])
 
     def test_has_the_libraries_that_component_libraries_link(self):
         # The SDKs are linked statically, so what they need of Debian's must be there although no program here uses it.
