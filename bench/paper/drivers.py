@@ -123,6 +123,14 @@ class ByDrivers:
                 report.compare(f"{pair.title}: carried", "msg/s", [line["carried"] for line in pair.ours], "sent",
                                [float(drivers * rate)] * len(pair.ours), ratio_at_least=0.99)
 
+    @staticmethod
+    def load_of(pairs):
+        """What the points' drivers send, as in "messages of 100 B, 5/s each up to 1000 drivers"."""
+        most = {}
+        for drivers, rate in sorted(step for steps in pairs.values() for step in steps):
+            most[rate] = drivers
+        return ", ".join([f"messages of {SIZE} B", *(f"{rate}/s each up to {drivers} drivers" for rate, drivers in most.items())])
+
     def plots(self, pairs):
         label, bare = KINDS[self.broker][0], KINDS[self.broker][3]
         lines = []
@@ -134,9 +142,9 @@ class ByDrivers:
                                          else (pair.theirs, pair.their_problem))
                     points.append({**point(drivers, measured, problem), "rate": rate})
                 lines.append(series(f"{name}, {layout}", kind, points))
-        return [{"title": f"{label}: {text}, messages of 100 B, 5/s each to 1000 drivers, then 1/s", "x": "drivers",
-                 "x_unit": "", "x_log": True, "y": text, "y_unit": "ms", "y_log": True, "statistic": statistic,
-                 "series": lines} for text, statistic in (("mean round trip", "mean_ms"), ("p99 of the round trip", "p99_ms"))]
+        return [{"title": f"{label}: {text}, {self.load_of(pairs)}", "x": "drivers", "x_unit": "", "x_log": True, "y": text,
+                 "y_unit": "ms", "y_log": True, "statistic": statistic, "series": lines}
+                for text, statistic in (("mean round trip", "mean_ms"), ("p99 of the round trip", "p99_ms"))]
 
 
 FIGURES = [ByDrivers("10", "rabbitmq", ("shared", "exclusive")), ByDrivers("11", "kafka", tuple(PARTITIONS))]

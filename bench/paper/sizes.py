@@ -33,13 +33,13 @@ def window(scale, rate):
 
 
 class BySize:
-    """A figure of mean latency by size and rate."""
+    """A figure of mean latency by size, a curve for each rate."""
 
     def __init__(self, name, broker):
         self.name, self.broker = name, broker
         self.servers = [] if broker == "embedded" else [broker, "zookeeper"]
         self.shared = broker == "kafka"  # a Kafka topic is never exclusive
-        self.title = f"mean round trip by message size and rate, {KINDS[broker][0]}"
+        self.title = f"mean round trip by message size, {KINDS[broker][0]}"
 
     def rates(self, given):
         rates = RATES[given.scale]
@@ -114,7 +114,7 @@ class Deviation:
     """Figure 9, drawn from what figures 7 and 8 measured."""
 
     name, broker, servers = "9", None, []
-    title = "standard deviation by message size and rate, from figures 7 and 8"
+    title = "standard deviation of the round trip by message size"
     SOURCES = ("7", "8")
 
     def seconds(self, _given):

@@ -240,6 +240,15 @@ class DriversTest(PaperTest):
         served = [(result["name"].split(": ")[1], result["met"]) for result in report.results if "10000 x 1/s" in result["name"]]
         self.assertEqual(served, [("mean", None), ("p99", None), ("lost", True), ("carried", False)])
 
+    def test_plots_are_titled_with_the_loads_that_they_have(self):
+        def titles():
+            return [plot["title"] for plot in self.by_drivers()[1]]
+        load = "messages of 100 B, 5/s each up to 1000 drivers"
+        self.assertEqual(titles(), [f"RabbitMQ: {text}, {load}, 1/s each up to 10000 drivers"
+                                    for text in ("mean round trip", "p99 of the round trip")])
+        self.given.points = "(4|1000) x 5/s"
+        self.assertEqual(titles(), [f"RabbitMQ: {text}, {load}" for text in ("mean round trip", "p99 of the round trip")])
+
     def test_drivers_that_cannot_be_deployed_are_a_point_that_is_not_served(self):
         running = Running()
 
