@@ -4,7 +4,7 @@ import tempfile
 
 from paper.points import Pair, asked_for, attempts, point, series
 from paper.sizes import CONNECT_S, ORDER_S, START_S
-from paper.systems import KINDS, StartError, system
+from paper.systems import HOSTS, KINDS, StartError, system
 
 SIZE = 100
 # (drivers, messages a second of each); more than 1000 drivers only on shared channels.
@@ -82,14 +82,19 @@ class ByDrivers:
                 with system(self.broker, given.build, folder, **more) as running:
                     running.warm_up(JVM_WARM_UP_S[given.scale], JVM_WARM_UP)
                     for layout in layouts:
-                        pairs[layout] = self.progressions(running, given, progress, layout)
-                        self.judge(running, report, layout, pairs[layout])
+                        pairs[layout], read = self.progressions(running, given, progress, layout)
+                        self.judge(running, report, pairs[layout])
+                        if self.broker == "kafka":  # of each gateway's topic
+                            report.compare(f"{KINDS[self.broker][0]}, {layout}: partitions read", "", read, "there are",
+                                           [float(HOSTS * PARTITIONS[layout])] * len(read), ratio_at_least=1)
         return self.plots(pairs)
 
     def progressions(self, running, given, progress, layout):
-        """Measures rounds that begin with 4 drivers and add more, as the paper did. Returns {(drivers, rate): Pair}."""
+        """Measures rounds that begin with 4 drivers and add more, as the paper did. Returns {(drivers, rate): Pair},
+        and for Kafka how many partitions were read at the end of each round."""
         steps = self.steps(given, layout)
         pairs = {step: Pair(self.title_of(*step, layout)) for step in steps}
+        read = []
         for round_number in range(given.rounds or ROUNDS[given.scale]):
             for (drivers, rate), pair in pairs.items():
                 step = f"figure {self.name}: {pair.title}, round {round_number + 1}"
@@ -103,11 +108,13 @@ class ByDrivers:
                 shape = (SIZE, rate, WARM_UP_S[given.scale], WINDOW_S[given.scale])
                 pair.round(lambda: running.measure(*shape), lambda: running.measure_bare(*shape, drivers, layout != "exclusive"),
                            attempts(given))
+            if self.broker == "kafka":
+                read.append(running.partitions_read())
             progress.step(f"figure {self.name}: undeploying {running.drivers} drivers", self.undeploy_seconds(running.drivers))
             running.undeploy()
-        return pairs
+        return pairs, read
 
-    def judge(self, running, report, layout, pairs):
+    def judge(self, running, report, pairs):
         few = next((pair for (drivers, _), pair in pairs.items() if drivers == FEW), None)
         for (drivers, rate), pair in pairs.items():
             pair.compare(report, running.bare)

@@ -7,12 +7,13 @@ import os
 import subprocess
 import sys
 import time
+import urllib.request
 from pathlib import Path
 
 from figures import ProgramFailed, Programs
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "servers"))
-from private_cluster import Children, PrivateCluster, StartError, Unavailable, children_of  # noqa: E402, F401
+from private_cluster import Children, PrivateCluster, StartError, Unavailable, children_of, free_port  # noqa: E402, F401
 
 # By kind of broker: its name, the server's options, the bare client's program, and the bare client's name.
 KINDS = {
@@ -215,7 +216,9 @@ class Cluster(System):
             self.url = self.cluster.server(self.kind, *self.server_options, *self.more_options)
             self.cluster.start(HOSTS, [f'{self.kind}: {{type: {self.kind}, urls: ["{self.url}"]{self.properties}}}'])
             # Whoever comes first makes a topic, so both sides say into how many partitions.
-            connection = f'brokers: {{{self.kind}: {{urls: ["{self.url}"]{self.properties}}}}}'
+            self.page = f"127.0.0.1:{free_port()}"
+            connection = "\n".join([f'brokers: {{{self.kind}: {{urls: ["{self.url}"]{self.properties}}}}}',
+                                    f'metrics: {{address: "{self.page}"}}'])
             self.cluster.topology("worker", topology(self.kind, 'zk.servers: ["{zookeeper}"]', connection))
             self.cluster.wait_until_ready()
         except BaseException:
@@ -240,6 +243,16 @@ class Cluster(System):
                 raise StartError(f"{drivers} drivers were not deployed: {answer['text']}")
         self.drivers += drivers
         self.wait_until_served(50 if self.drivers <= 100 else 2)
+
+    def partitions_read(self):
+        """How many partitions the worker reads, of the topics of all gateways, as its page says; 0 when that does not answer."""
+        try:
+            with urllib.request.urlopen(f"http://{self.page}/metrics", timeout=PATIENCE_S) as answer:
+                lines = answer.read().decode().splitlines()
+        except OSError as error:
+            print(f"the worker's page does not answer: {error}", flush=True)
+            return 0.0
+        return sum(float(line.rsplit(" ", 1)[1]) for line in lines if line.startswith("iotcloud_spout_channels{"))
 
     def undeploy(self):
         answer = self.cluster.answer("undeploy", "--all", "--wait", ORDER_S, limit=ORDER_S + 60)

@@ -54,6 +54,9 @@ class Running:
     def undeploy(self):
         self.drivers = 0
 
+    def partitions_read(self):
+        return self.answer("partitions", self.drivers)
+
 
 class PaperTest(unittest.TestCase):
     def setUp(self):
@@ -248,6 +251,16 @@ class DriversTest(PaperTest):
                                     for text in ("mean round trip", "p99 of the round trip")])
         self.given.points = "(4|1000) x 5/s"
         self.assertEqual(titles(), [f"RabbitMQ: {text}, {load}" for text in ("mean round trip", "p99 of the round trip")])
+
+    def test_of_kafkas_partitions_all_are_read_or_a_target_is_missed(self):
+        self.given.points = "(4|1000) x 5/s"
+        running = Running(lambda who, turn: 8.0 if who == "partitions" else {})
+        _, report = self.run_figure(drivers, drivers.FIGURES[1], running)
+        read = {result["name"]: (result["value"], result["baseline_value"], result["met"], result["rounds"])
+                for result in report.results if result["name"].endswith("partitions read")}
+        self.assertEqual(read, {"Kafka, shared: partitions read": (8, 8, True, 2),
+                                "Kafka, shared, 1 partition: partitions read": (8, 2, True, 2),
+                                "Kafka, shared, 8 partitions: partitions read": (8, 16, False, 2)})
 
     def test_drivers_that_cannot_be_deployed_are_a_point_that_is_not_served(self):
         running = Running()
