@@ -5,8 +5,9 @@ function(_iotcloud_test_code target)
   target_compile_options(${target} PRIVATE -O0)
 endfunction()
 
-# A test's labels: what it needs (`unit`, `contract`, `server`, `system`, `long`; tests/README.md), its room, which is
-# its folder (below tests/), and the presets under which ./dev test runs it: `release`, `asan`, `tsan`. ./dev test runs a
+# A test's labels: what it needs (`unit`, `contract`, `server`, `system`, `long`; tests/README.md), `room:` and its room,
+# which is its folder (below tests/; one of them is named as a kind is), and the presets under which ./dev test runs it:
+# `release`, `asan`, `tsan`. ./dev test runs a
 # unit or contract test once: under tsan, under asan, or in release if neither has anything to find. Those that asan runs
 # besides tsan have the label `asan_long`, for ./dev test --long. With LATER ./dev test runs the test in release, and --long
 # under its sanitizers (`asan_long`, `tsan_long`). A test whose subject is OPTIMIZED further in release runs under all its
@@ -29,7 +30,7 @@ function(_iotcloud_test_labels out)
   file(RELATIVE_PATH room ${PROJECT_SOURCE_DIR} ${CMAKE_CURRENT_SOURCE_DIR})
   string(REGEX REPLACE "^tests/" "" room ${room})
   string(REGEX REPLACE "/.*" "" room ${room})
-  set(${out} ${kind} ${room} ${arg_LABELS} ${presets} PARENT_SCOPE)
+  set(${out} ${kind} room:${room} ${arg_LABELS} ${presets} PARENT_SCOPE)
 endfunction()
 
 # What ./dev test reads before it builds anything (development/choose.py): a line for each test, or for each program whose
@@ -195,7 +196,7 @@ function(iotcloud_command_test)
   set_tests_properties(${arg_NAME} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${labels}" SKIP_RETURN_CODE 77
                                               ENVIRONMENT "${arg_ENVIRONMENT}")
   _iotcloud_list_test(NAME ${arg_NAME} HOW test LABELS ${labels} TARGETS ${arg_NEEDS})
-  if(NOT arg_COST AND labels MATCHES "system")
+  if(NOT arg_COST AND labels MATCHES "^system;")
     set(arg_COST 200)  # these take long, so ctest starts them early, and none of them is left to run alone at the end
   endif()
   if(arg_COST)

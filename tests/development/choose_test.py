@@ -20,13 +20,13 @@ class ChooseTest(unittest.TestCase):
         self.build = Path(folder.name)
         (self.build / "outbox_test.cc").write_text(OUTBOX)
         (self.build / "contract_test.cc").write_text(CONTRACT)
-        self.listed(("brokers_test", "program", "unit brokers asan", "brokers_test", "outbox_test.cc"),
-                    ("registry_test", "program", "contract discovery", "registry_test", "contract_test.cc"),
-                    ("contract_test.kafka", "test", "contract brokers java", "contract_test", ""),
-                    ("a_person_is_followed", "test", "system system", "programs turtle", ""),
-                    ("loop_test", "test", "system system serverless", "loop_test", ""),
-                    ("a_robot_stops", "test", "server drivers ros", "", ""),
-                    ("chaos", "test", "long chaos", "chaos", ""))
+        self.listed(("brokers_test", "program", "unit room:brokers asan", "brokers_test", "outbox_test.cc"),
+                    ("registry_test", "program", "contract room:discovery", "registry_test", "contract_test.cc"),
+                    ("contract_test.kafka", "test", "contract room:brokers java", "contract_test", ""),
+                    ("a_person_is_followed", "test", "system room:system", "programs turtle", ""),
+                    ("loop_test", "test", "system room:system serverless", "loop_test", ""),
+                    ("a_robot_stops", "test", "server room:drivers ros", "", ""),
+                    ("chaos", "test", "long room:chaos", "chaos", ""))
 
     def listed(self, *rows):
         lines = []
@@ -38,21 +38,27 @@ class ChooseTest(unittest.TestCase):
         return choose.choose(self.build, words)
 
     def test_a_name_in_a_source_chooses_its_program_and_a_unit_test_needs_nothing_else(self):
-        self.assertEqual(self.chosen("-L", "^brokers$", "-R", "Outbox.Keeps"), (["brokers_test"], []))
-        self.assertEqual(self.chosen("-L", "^brokers$", "-R", "Ring"), (["brokers_test"], []))
-        self.assertEqual(self.chosen("-L", "^brokers$", "-R", "Ring", "-E", "IsFull"), ([], []))
+        self.assertEqual(self.chosen("-L", "^room:brokers$", "-R", "Outbox.Keeps"), (["brokers_test"], []))
+        self.assertEqual(self.chosen("-L", "^room:brokers$", "-R", "Ring"), (["brokers_test"], []))
+        self.assertEqual(self.chosen("-L", "^room:brokers$", "-R", "Ring", "-E", "IsFull"), ([], []))
 
     def test_needs_are_those_of_the_chosen_tests_labels(self):
-        self.assertEqual(self.chosen("-L", "^brokers$", "-R", "contract"), (["contract_test"], ["java", "servers"]))
+        self.assertEqual(self.chosen("-L", "^room:brokers$", "-R", "contract"), (["contract_test"], ["java", "servers"]))
         self.assertEqual(self.chosen("-R", "followed", "-E", "Keeps"), (["programs", "registry_test", "turtle"],
                                                                         ["servers", "tools"]))
         self.assertEqual(self.chosen("-L", "system", "-R", "loop"), (["loop_test"], ["tools"]))
-        self.assertEqual(self.chosen("-L", "^drivers$"), ([], ["ros", "servers"]))
+        self.assertEqual(self.chosen("-L", "^room:drivers$"), ([], ["ros", "servers"]))
 
     def test_labels_leave_out_and_all_must_fit(self):
         self.assertEqual(self.chosen("-L", "^unit$", "-LE", "^long$"), (["brokers_test"], []))
         self.assertEqual(self.chosen("-L", "brokers", "-L", "asan"), (["brokers_test"], []))
         self.assertEqual(self.chosen("-L", "^long$"), (["chaos"], ["servers", "tools"]))
+
+    def test_a_room_that_is_named_as_a_kind_is_chosen_exactly(self):
+        self.listed(("update_test", "test", "system room:deploy", "programs", ""),
+                    ("world_test", "test", "unit room:system tsan", "world_test", ""))
+        self.assertEqual(self.chosen("-L", "^room:(system)$")[0], ["world_test"])
+        self.assertEqual(self.chosen("-L", "^(unit|contract|server|system)$", "-L", "^room:(deploy)$")[0], ["programs"])
 
     def test_the_names_of_a_parameterized_test_are_known_once_it_was_built(self):
         choice = ("-L", "discovery", "-R", "zookeeper")

@@ -19,12 +19,12 @@ class LabelsTest(unittest.TestCase):
             return done.stdout
 
     def test_a_unit_test_or_one_without_servers_gets_none(self):
-        self.assertIn("the labels of this test (unit config)", self.greeting("zookeeper.py", "unit,config"))
-        self.assertIn("no such server", self.greeting("rabbitmq.py", "contract,gateway,serverless"))
+        self.assertIn("the labels of this test (unit room:config)", self.greeting("zookeeper.py", "unit,room:config"))
+        self.assertIn("no such server", self.greeting("rabbitmq.py", "contract,room:gateway,serverless"))
 
     def test_a_server_of_maven_central_needs_the_label_java(self):
-        self.assertIn("the labels of this test (contract brokers)", self.greeting("kafka.py", "contract,brokers"))
-        self.assertIn("no such server", self.greeting("activemq.py", "system,system"))
+        self.assertIn("the labels of this test (contract room:brokers)", self.greeting("kafka.py", "contract,room:brokers"))
+        self.assertIn("no such server", self.greeting("activemq.py", "system,room:system"))
 
 
 if __name__ == "__main__":
