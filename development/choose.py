@@ -16,8 +16,11 @@ from pathlib import Path
 
 TEST = re.compile(r"^\s*(TEST|TEST_F|TEST_P|TYPED_TEST|TYPED_TEST_P)\(\s*(\w+)\s*,\s*(\w+)\s*\)", re.MULTILINE)
 DISCOVERED = re.compile(r"^add_test\(\s*(?:\[=*\[)?(.+?)(?:\]=*\])?\s", re.MULTILINE)
-WITH_VALUE = ("-R", "-E", "-L", "-LE", "-I", "-j", "--repeat", "--timeout", "--schedule-random", "--output-log",
-              "--output-junit")
+# Options of ctest that take the next word as their value, unless they have one after "=". ./dev has the same list.
+WITH_VALUE = ("-R", "-E", "-L", "-LE", "-I", "-j", "-C", "-FA", "-FS", "-FC", "-O", "--tests-regex", "--exclude-regex",
+              "--label-regex", "--label-exclude", "--tests-information", "--parallel", "--build-config",
+              "--fixture-exclude-any", "--fixture-exclude-setup", "--fixture-exclude-cleanup", "--repeat", "--timeout",
+              "--stop-time", "--test-load", "--resource-spec-file", "--output-log", "--output-junit")
 LONG = {"--tests-regex": "-R", "--exclude-regex": "-E", "--label-regex": "-L", "--label-exclude": "-LE"}
 
 
@@ -53,9 +56,9 @@ class Options:
         while words:
             word = words.pop(0)
             word, equals, value = word.partition("=") if word.startswith("--") else (word, "", "")
-            word = LONG.get(word, word)
             if not equals and word in WITH_VALUE and words:
                 value = words.pop(0)
+            word = LONG.get(word, word)
             if word in self.regexes:
                 self.regexes[word].append(re.compile(value))
 

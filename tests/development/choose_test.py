@@ -72,6 +72,8 @@ class ChooseTest(unittest.TestCase):
     def test_options_with_values_do_not_pass_for_choices(self):
         self.assertEqual(self.chosen("-j", "4", "--repeat", "until-fail:3", "--tests-regex=Outbox", "-L", "unit")[0],
                          ["brokers_test"])
+        self.assertEqual(self.chosen("--tests-regex", "Outbox", "--label-regex", "unit", "--schedule-random")[0],
+                         ["brokers_test"])
 
 
 if __name__ == "__main__":
