@@ -43,7 +43,8 @@ set(QPID_PROTON_CORE -l:libqpid-proton-core.so.10)
 find_path(QPID_PROTON_CPP_INCLUDE_DIR proton/messaging_handler.hpp REQUIRED)
 find_library(QPID_PROTON_CPP_LIBRARY qpid-proton-cpp REQUIRED)
 
-# Optional: what needs a library that is not here is left out, and everything else is built.
+# Optional: what needs a library that is not here is left out, and everything else is built. IOTCLOUD_NO_ROS and
+# IOTCLOUD_NO_JNI say what is missing for whom, or nothing; tests that need it say so (MISSING, IotcloudTests.cmake).
 find_path(ROCKSDB_INCLUDE_DIR rocksdb/db.h)
 find_library(ROCKSDB_LIBRARY rocksdb)
 find_path(HIREDIS_INCLUDE_DIR hiredis/hiredis.h)
@@ -57,13 +58,16 @@ else()
 endif()
 
 pkg_check_modules(ros QUIET IMPORTED_TARGET roscpp geometry_msgs nav_msgs sensor_msgs)
+set(IOTCLOUD_NO_ROS)
 if(NOT ros_FOUND)
-  message(STATUS "Left out: drivers/turtle/ros (turtle_ros.so, a TurtleBot on ROS) and its tests. They need roscpp, "
-                 "geometry_msgs, nav_msgs and sensor_msgs (Debian: libroscpp-dev libgeometry-msgs-dev libnav-msgs-dev "
-                 "libsensor-msgs-dev)")
+  string(CONCAT IOTCLOUD_NO_ROS "drivers/turtle/ros (turtle_ros.so, a TurtleBot on ROS) needs roscpp, geometry_msgs, nav_msgs "
+                                "and sensor_msgs (Debian: libroscpp-dev libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev)")
+  message(STATUS "Left out: ${IOTCLOUD_NO_ROS}")
 endif()
 find_package(JNI QUIET COMPONENTS JVM)
+set(IOTCLOUD_NO_JNI)
 if(NOT TARGET JNI::JNI)
-  message(STATUS "Left out: libiotcloud_storm.so, with which Apache Storm runs components of C++. It needs jni.h (Debian: "
-                 "openjdk-17-jdk-headless)")
+  string(CONCAT IOTCLOUD_NO_JNI "libiotcloud_storm.so, with which Apache Storm runs components of C++, needs jni.h (Debian: "
+                                "openjdk-17-jdk-headless)")
+  message(STATUS "Left out: ${IOTCLOUD_NO_JNI}")
 endif()

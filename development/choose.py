@@ -2,9 +2,12 @@
 """Says what chosen tests need, before anything is built.
 
 usage: choose.py BUILD_FOLDER [CTEST OPTIONS]
+       choose.py --left-out BUILD_FOLDER [CTEST OPTIONS]
 
-Prints two lines: the targets that build the tests which these options of ctest choose (-R, -E, -L, -LE), and what else
-these tests need: servers (Debian's), tools (all other programs of system tests), java (servers from Maven Central),
+The second form prints the chosen tests that CMake left out, because something that they need is not here: a line for
+each with its name, a tab and what is missing, for summary.py. The first
+prints two lines: the targets that build the tests which these options of ctest choose (-R, -E, -L, -LE), and what else
+these tests need: servers (Debian's), tools (all other programs of system tests), java (servers from Maven Central, jni.h),
 ros. It reads BUILD_FOLDER/test_list.tsv, which CMake writes. A test in it is known by name. Of a GoogleTest
 program it reads the tests' names in the sources and, once it was built, in the list that ctest has of it; a program
 with a parameterized test that has never been built is chosen when no name can rule it out.
@@ -32,11 +35,12 @@ class Listed:
     labels: list
     targets: list
     sources: list
+    missing: str
 
     @staticmethod
     def of(line):
-        name, how, labels, targets, sources = line.split("\t")
-        return Listed(name, how == "program", labels.split(), targets.split(), sources.split())
+        name, how, labels, targets, sources, missing = line.split("\t")
+        return Listed(name, how == "program", labels.split(), targets.split(), sources.split(), missing)
 
     def needs(self):
         needs = {"java", "ros"}.intersection(self.labels)
@@ -98,26 +102,39 @@ def has_chosen(built, listed, options):
     return False
 
 
-def choose(build, words):
-    """Returns the targets and the needs of the chosen tests."""
+def chosen(build, words):
+    """What these options of ctest choose, of all that is listed."""
     options = Options(words)
-    targets, needs = set(), set()
     built = {} if options.name_anything() else discovered(build)
     for line in (build / "test_list.tsv").read_text(encoding="utf-8").splitlines():
         listed = Listed.of(line)
         if not options.take_labels(listed.labels):
             continue
         if has_chosen(built.get(listed.name), listed, options) if listed.is_program else options.take_name(listed.name):
-            targets.update(listed.targets)
-            needs.update(listed.needs())
+            yield listed
+
+
+def choose(build, words):
+    """Returns the targets and the needs of the chosen tests."""
+    targets, needs = set(), set()
+    for listed in chosen(build, words):
+        targets.update(listed.targets)
+        needs.update(listed.needs())
     return sorted(targets), sorted(needs)
 
 
 def main():
-    if len(sys.argv) < 2:
+    words = sys.argv[1:]
+    left_out = words[:1] == ["--left-out"]
+    if len(words) <= left_out:
         sys.exit(__doc__.split("\n\n")[1])
-    for words in choose(Path(sys.argv[1]), sys.argv[2:]):
-        print(*words)
+    if left_out:
+        for listed in chosen(Path(words[1]), words[2:]):
+            if listed.missing:
+                print(f"{listed.name}\t{listed.missing}")
+        return
+    for line in choose(Path(words[0]), words[1:]):
+        print(*line)
 
 
 if __name__ == "__main__":

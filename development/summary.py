@@ -4,8 +4,10 @@
 usage: summary.py [--ci] [--steps FILE] [--table FILE] [--left-out FILE] [--whole] JUNIT_FILE...
 
 Prints the time of each step (FILE: "seconds<TAB>name<TAB>what pace.py said<TAB>seconds of CPU" a line), the ten slowest
-tests, what was skipped and why, what failed, and in the end "N passed, N failed, N skipped". With --ci a skip is a failure
-unless the `skips_allowed` of limits.json name the test and a cause that this machine has (`CAUSES`), and so is, with --whole, a run that took longer than its `minutes`. These
+tests, what was skipped and why, which of the chosen tests CMake left out and what is missing for them (tests_left_out.tsv
+beside a JUnit file), what failed, and in the end "N passed, N failed, N skipped". With --ci a test that was left out is a
+failure; so is a skip, unless the `skips_allowed` of limits.json name the test and a cause that this machine has (`CAUSES`), and,
+with --whole, a run that took longer than its `minutes`. These
 are minutes of a machine where pace.py takes `pace_s` seconds: a slower machine is allowed more, in proportion, up to
 `slower_at_most` times as much. --table: one line for each test. --left-out: a file that names the sources that lint.py had no
 time for; they are told before the last line. The exit status is 1 after a failure.
@@ -94,11 +96,17 @@ def read(file):
     return tests
 
 
+def left_out(file):
+    """[name of the test, what is missing for it] of those that are not in a JUnit file of ctest, because CMake left them out."""
+    listed = Path(file).parent / "tests_left_out.tsv"
+    return [line.split("\t") for line in listed.read_text(encoding="utf-8").splitlines()] if listed.exists() else []
+
+
 def in_minutes(seconds):
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.1f} min"
 
 
-def report(tests, steps, limits, ci, whole):
+def report(tests, missing, steps, limits, ci, whole):
     """Prints the report. Returns what is wrong besides failed tests, one text for each fault."""
     wrong = []
     if steps:
@@ -125,6 +133,12 @@ def report(tests, steps, limits, ci, whole):
         print(f"  {test.full_name()}: {test.reason()}" + (f" [allowed: {cause}]" if cause else ""))
         if ci and cause is None:
             wrong.append(f"{test.full_name()} was skipped, which {LIMITS.name} does not allow on this machine")
+    if missing:
+        print("\nleft out:")
+    for name, what in missing:
+        print(f"  {name}: {what}")
+        if ci:
+            wrong.append(f"{name} was left out: {what}")
     failed = [test for test in tests if test.outcome == "failed"]
     if failed:
         print("\nfailed:")
@@ -156,19 +170,21 @@ def main():
     given = parser.parse_args()
     limits = json.loads(LIMITS.read_text(encoding="utf-8"))
     tests = [test for file in given.files for test in read(file)]
+    missing = [each for file in given.files for each in left_out(file)]
     steps = []
     if given.steps:
         for line in given.steps.read_text(encoding="utf-8").splitlines():
             seconds, name, pace, cpu = line.split("\t")
             steps.append((float(seconds), name, float(pace), float(cpu)))
-    wrong = report(tests, steps, limits, given.ci, given.whole)
+    wrong = report(tests, missing, steps, limits, given.ci, given.whole)
     if given.table:
         write_table(given.table, tests)
     if given.left_out and given.left_out.exists() and (names := given.left_out.read_text(encoding="utf-8").split("\n")[:-1]):
         print(f"\nclang-tidy had no time for {len(names)} files, and looks at them first the next time (or ./dev lint COMMIT): "
               f"{' '.join(names)}")
     count = {outcome: sum(test.outcome == outcome for test in tests) for outcome in ("passed", "failed", "skipped")}
-    print(f"\n{count['passed']} passed, {count['failed'] + len(wrong)} failed, {count['skipped']} skipped")
+    print(f"\n{count['passed']} passed, {count['failed'] + len(wrong)} failed, {count['skipped']} skipped" +
+          (f", {len(missing)} left out" if missing else ""))
     return 1 if count["failed"] or wrong or not tests else 0
 
 

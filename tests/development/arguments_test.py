@@ -32,7 +32,7 @@ class ArgumentsTest(unittest.TestCase):
         shutil.copytree(TREE / "development", self.folder / "development")
         (self.folder / "development/pace.py").write_text("print(0.5)\n")  # it takes a while
         (self.folder / "build/release").mkdir(parents=True)
-        (self.folder / "build/release/test_list.tsv").write_text("url_test\ttest\tunit room:brokers\turl_test\t\n")
+        (self.folder / "build/release/test_list.tsv").write_text("url_test\ttest\tunit room:brokers\turl_test\t\t\n")
         for name, text in STAND_INS.items():
             (self.folder / name).write_text(f"#!/bin/sh\n{text}\n")
             (self.folder / name).chmod(0o755)

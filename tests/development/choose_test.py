@@ -1,11 +1,15 @@
 #!/usr/bin/python3
 """Tests what development/choose.py says that chosen tests need."""
+import io
+import subprocess
 import sys
 import tempfile
 import unittest
 from pathlib import Path
+from unittest import mock
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
+TREE = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(TREE / "development"))
 
 import choose  # noqa: E402
 
@@ -31,7 +35,8 @@ class ChooseTest(unittest.TestCase):
     def listed(self, *rows):
         lines = []
         for *words, sources in rows:
-            lines.append("\t".join([*words, " ".join(str(self.build / source) for source in sources.split())]) + "\n")
+            sources, _, missing = sources.partition(" missing: ")
+            lines.append("\t".join([*words, " ".join(str(self.build / source) for source in sources.split()), missing]) + "\n")
         (self.build / "test_list.tsv").write_text("".join(lines))
 
     def chosen(self, *words):
@@ -68,6 +73,37 @@ class ChooseTest(unittest.TestCase):
         self.assertEqual(self.chosen(*choice)[0], [])
         found.write_text('add_test([=[All/Registry.KeepsWatches/zookeeper]=]  /x/registry_test [==[--gtest_filter=a]==])\n')
         self.assertEqual(self.chosen(*choice)[0], ["registry_test"])
+
+    def test_of_the_chosen_tests_those_that_were_left_out_are_told_with_what_is_missing(self):
+        self.listed(("registry_test", "program", "contract room:discovery", "registry_test", "contract_test.cc"),
+                    ("ros_test", "program", "server room:drivers ros", "", "outbox_test.cc missing: it needs roscpp"),
+                    ("on_storm", "test", "system room:topology java", "", " missing: it needs jni.h"))
+        with mock.patch("sys.stdout", new_callable=io.StringIO) as out:
+            for words in ([], ["-R", "Outbox"], ["-L", "topology"], ["-L", "discovery"]):
+                with mock.patch("sys.argv", ["choose.py", "--left-out", str(self.build), *words]):
+                    choose.main()
+                out.write("|")
+        ros, storm = "ros_test\tit needs roscpp\n", "on_storm\tit needs jni.h\n"
+        self.assertEqual(out.getvalue(), f"{ros}{storm}|{ros}|{storm}||")
+
+    def test_cmake_lists_what_is_left_out_with_what_is_missing_and_the_rest_without(self):
+        for missing, listed in (('"it needs jni.h"', "on_storm\ttest\tsystem room:topology java release\t\t\tit needs jni.h\n"),
+                                ("", "on_storm\ttest\tsystem room:topology java release\tstorm\t\t\n")):
+            script = self.build / "it.cmake"
+            script.write_text(f"""cmake_minimum_required(VERSION 3.25)
+set(PROJECT_SOURCE_DIR /x)
+set(CMAKE_CURRENT_SOURCE_DIR /x/tests/topology/storm)
+include({TREE}/cmake/IotcloudTests.cmake)
+foreach(command add_test set_tests_properties _iotcloud_needed_by_tests)  # a script has no tests
+  function(${{command}})
+  endfunction()
+endforeach()
+iotcloud_command_test(NAME on_storm MISSING {missing} LABELS system java NEEDS storm COMMAND it)
+get_property(all GLOBAL PROPERTY IOTCLOUD_TESTS)
+file(WRITE {self.build}/test_list.tsv "${{all}}")
+""")
+            subprocess.run(["cmake", "-P", script], check=True)
+            self.assertEqual((self.build / "test_list.tsv").read_text(), listed)
 
     def test_options_with_values_do_not_pass_for_choices(self):
         self.assertEqual(self.chosen("-j", "4", "--repeat", "until-fail:3", "--tests-regex=Outbox", "-L", "unit")[0],

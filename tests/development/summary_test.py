@@ -43,7 +43,7 @@ class SummaryTest(unittest.TestCase):
     def report(self, **given):
         out = io.StringIO()
         with contextlib.redirect_stdout(out):
-            wrong = summary.report(self.tests, given.get("steps", []), LIMITS, given.get("ci", False), True)
+            wrong = summary.report(self.tests, given.get("missing", []), given.get("steps", []), LIMITS, given.get("ci", False), True)
         return wrong, out.getvalue()
 
     def test_reads_outcomes(self):
@@ -60,6 +60,26 @@ class SummaryTest(unittest.TestCase):
             with mock.patch.dict(summary.CAUSES, {"not root": lambda: False, "no AVX2": lambda has_avx2=has_avx2: not has_avx2}):
                 wrong, _ = self.report(ci=True)
             self.assertEqual([text.split()[0] for text in wrong], refused)
+
+    def test_tests_that_were_left_out_are_told_and_fail_in_ci(self):
+        missing = [["components_run_on_storm", "it needs jni.h (Debian: openjdk)"]]
+        wrong, said = self.report(missing=missing)
+        self.assertEqual(wrong, [])
+        self.assertIn("left out:\n  components_run_on_storm: it needs jni.h (Debian: openjdk)\n", said)
+        with mock.patch.object(summary, "allowed", return_value="a cause"):
+            self.assertEqual([text.split()[0] for text in self.report(missing=missing, ci=True)[0]], ["components_run_on_storm"])
+
+    def test_tests_that_were_left_out_are_read_beside_the_results(self):
+        with tempfile.TemporaryDirectory() as folder:
+            junit = Path(folder, "tests.xml")
+            junit.write_text(JUNIT)
+            for listed, said in ((None, ""), ("", ""), ("on_storm\tit needs jni.h\n", ", 1 left out")):
+                if listed is not None:
+                    Path(folder, "tests_left_out.tsv").write_text(listed)
+                out = io.StringIO()
+                with mock.patch.object(sys, "argv", ["summary.py", str(junit)]), contextlib.redirect_stdout(out):
+                    summary.main()
+                self.assertTrue(out.getvalue().endswith(f"1 passed, 1 failed, 2 skipped{said}\n"), out.getvalue())
 
     def test_every_cause_for_a_skip_is_one_that_is_looked_at(self):
         named = {cause for causes in json.loads(summary.LIMITS.read_text())["skips_allowed"].values() for cause in causes}
