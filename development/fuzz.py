@@ -4,13 +4,15 @@
 usage: fuzz.py SECONDS      for each target
 
 A target begins with its files in the tree and the inputs of earlier runs. A crash leaves its input in
-build/fuzz/crashes. The exit status is 1 when a target found something.
+build/fuzz/crashes. build/fuzz/tests.xml has each target as a test, for summary.py. The exit status is 1 when a target found something.
 """
 import concurrent.futures
 import os
 import re
 import subprocess
 import sys
+import time
+import xml.etree.ElementTree as xml
 from pathlib import Path
 
 from progress import Teller
@@ -21,21 +23,23 @@ EXECUTIONS = re.compile(r"stat::number_of_executed_units:\s*(\d+)")
 
 
 def fuzz(name, seconds, folder):
-    """Returns whether the target found nothing, and what to tell of it."""
+    """Returns whether the target found nothing, what to tell of it, and how many seconds it took."""
     found_before, log = folder / "corpus" / name, folder / f"{name}.log"
     found_before.mkdir(parents=True, exist_ok=True)
     command = [folder / f"bin/{name}_fuzzer", f"-max_total_time={seconds}", "-max_len=65536", "-timeout=10",
                "-rss_limit_mb=2048", "-verbosity=0", "-print_final_stats=1",
                f"-artifact_prefix={folder / 'crashes' / name}-", found_before, KEPT / name]
+    began = time.monotonic()
     with open(log, "w", encoding="utf-8") as out:
         status = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, check=False,
                                 env={**os.environ, "UBSAN_OPTIONS": "print_stacktrace=1:halt_on_error=1"}).returncode
+    took = time.monotonic() - began
     said = log.read_text(errors="replace")
     if status == 0:
         executions = EXECUTIONS.search(said)
-        return True, f"{executions[1] if executions else 'no'} executions in {seconds} s, nothing found"
+        return True, f"{executions[1] if executions else 'no'} executions in {seconds} s, nothing found", took
     return False, "\n".join([*said.splitlines()[-40:], f"it found something; the input is in {folder / 'crashes'}: run "
-                             f"{command[0]} FILE"])
+                             f"{command[0]} FILE"]), took
 
 
 class Targets:
@@ -57,18 +61,21 @@ def run(names, seconds, folder, out):
     (folder / "crashes").mkdir(parents=True, exist_ok=True)
     targets = Targets(len(names), seconds)
     teller = Teller("fuzzing", targets, out)
-    found = 0
+    found, results = 0, xml.Element("testsuite", name="fuzzing")
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
         running = {pool.submit(fuzz, name, seconds, folder): name for name in names}
         while running:
             done, _ = concurrent.futures.wait(running, timeout=1, return_when=concurrent.futures.FIRST_COMPLETED)
             for result in done:
-                clean, text = result.result()
-                teller.say(f"fuzz {running.pop(result)}: {text}")
+                name = running.pop(result)
+                clean, text, took = result.result()
+                teller.say(f"fuzz {name}: {text}")
+                xml.SubElement(results, "testcase", name=name, time=f"{took:.2f}", status="run" if clean else "fail")
                 targets.left -= 1
                 found += not clean
             teller.tick()
     teller.end()
+    xml.ElementTree(results).write(folder / "tests.xml")
     return found
 
 

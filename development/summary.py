@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """Summarises a test run from the JUnit files that ctest wrote.
 
-usage: summary.py [--ci] [--steps FILE] [--table FILE] [--left-out FILE] [--whole] JUNIT_FILE...
+usage: summary.py [--ci] [--steps FILE] [--table FILE] [--left-out FILE] [--not-built PRESETS] [--whole] [JUNIT_FILE]...
 
 Prints the time of each step (FILE: "seconds<TAB>name<TAB>what pace.py said<TAB>seconds of CPU" a line), the ten slowest
 tests, what was skipped and why, which of the chosen tests CMake left out and what is missing for them (tests_left_out.tsv
@@ -10,7 +10,7 @@ failure; so is a skip, unless the `skips_allowed` of limits.json name the test a
 with --whole, a run that took longer than its `minutes`. These
 are minutes of a machine where pace.py takes `pace_s` seconds: a slower machine is allowed more, in proportion, up to
 `slower_at_most` times as much. --table: one line for each test. --left-out: a file that names the sources that lint.py had no
-time for; they are told before the last line. The exit status is 1 after a failure.
+time for; they are told before the last line. --not-built: presets whose build failed; each counts as a failed test. The exit status is 1 after a failure.
 """
 import argparse
 import ctypes
@@ -166,10 +166,12 @@ def main():
     parser.add_argument("--steps", type=Path)
     parser.add_argument("--table", type=Path)
     parser.add_argument("--left-out", type=Path)
-    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("--not-built", default="")
+    parser.add_argument("files", nargs="*", type=Path)
     given = parser.parse_args()
     limits = json.loads(LIMITS.read_text(encoding="utf-8"))
-    tests = [test for file in given.files for test in read(file)]
+    tests = [Test(preset, "building", 0, "failed", "") for preset in given.not_built.split()]
+    tests += [test for file in given.files for test in read(file)]
     missing = [each for file in given.files for each in left_out(file)]
     steps = []
     if given.steps:

@@ -17,7 +17,11 @@ import choose  # noqa: E402
 STAND_INS = {
     "dpkg-query": "printf installed",
     "cmake": "mkdir -p build/release; touch build/release/build.ninja",
-    "ninja": "echo 'ninja: no work to do.'",
+    "ninja": """case "$*" in
+  *build.ninja*) ;;
+  *release*) echo 'ninja: no work to do.' ;;
+  *) exit 1 ;;
+esac""",
     "ctest": """printf '%s\\n' "$@" >asked
 echo '<testsuite><testcase name="Url.Reads" time="1" status="run"/></testsuite>' >build/release/tests.xml""",
 }
@@ -78,6 +82,18 @@ class ArgumentsTest(unittest.TestCase):
     def test_both_know_the_same_options_with_values(self):
         listed = re.search(r"^ctest_options_with_value=\((.*?)\)", (TREE / "dev").read_text(), re.MULTILINE | re.DOTALL)
         self.assertEqual(listed[1].split(), list(choose.WITH_VALUE))
+
+    def test_a_preset_that_cannot_be_built_is_in_the_table_of_the_long_tests(self):
+        for preset in ("asan", "tsan", "fuzz", "lint"):
+            (self.folder / "build" / preset).mkdir()
+            (self.folder / "build" / preset / "test_list.tsv").write_text(
+                f"url_test\ttest\tunit room:brokers {preset}_long\turl_test\t\t\n")
+        done = self.run_dev("--long")
+        self.assertEqual(done.returncode, 1)
+        self.assertIn("not built: asan tsan fuzz\n", done.stdout)
+        rows = [line.split("\t")[:3] for line in (self.folder / "build/long/tests.tsv").read_text().splitlines()[2:]]
+        self.assertEqual(rows, [["release", "Url.Reads", "passed"],
+                                *([preset, "building", "failed"] for preset in ("asan", "tsan", "fuzz"))])
 
     def test_every_room_with_tests_can_be_chosen(self):
         text = (TREE / "dev").read_text()

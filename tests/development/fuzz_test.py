@@ -9,6 +9,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
 
 import fuzz  # noqa: E402
+import summary  # noqa: E402
 
 
 class FuzzTest(unittest.TestCase):
@@ -34,6 +35,11 @@ class FuzzTest(unittest.TestCase):
         self.assertEqual(found, 1)
         self.assertIn("fuzz envelope: 1234 executions in 5 s, nothing found", said)
         self.assertIn("AddressSanitizer\nit found something", said)
+
+    def test_each_target_is_a_test_of_the_summary(self):
+        self.run_them("tuple", "envelope")
+        tests = summary.read(self.build / "tests.xml")
+        self.assertEqual({test.name: test.outcome for test in tests}, {"tuple": "failed", "envelope": "passed"})
 
     def test_how_far_it_is_counts_targets(self):
         targets = fuzz.Targets(24, 30)

@@ -129,6 +129,16 @@ class SummaryTest(unittest.TestCase):
                     summary.main()
                 self.assertEqual("no time for 2 files" in out.getvalue() and "a.cc b c.h" in out.getvalue(), said)
 
+    def test_a_preset_that_was_not_built_is_a_failure_and_a_line_of_the_table(self):
+        with tempfile.TemporaryDirectory() as folder:
+            table = Path(folder, "long/tests.tsv")
+            out = io.StringIO()
+            with mock.patch.object(sys, "argv", ["summary.py", "--table", str(table), "--not-built", "asan fuzz"]), \
+                    contextlib.redirect_stdout(out):
+                self.assertEqual(summary.main(), 1)
+            self.assertIn("0 passed, 2 failed, 0 skipped", out.getvalue())
+            self.assertIn("asan\tbuilding\tfailed\t0.00\nfuzz\tbuilding\tfailed\t0.00\n", table.read_text())
+
     def test_names_the_slowest_first(self):
         _, said = self.report()
         self.assertLess(said.index("Slow.Fails"), said.index("Url.Reads"))
