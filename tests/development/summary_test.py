@@ -29,6 +29,8 @@ this machine has no AVX2
     <system-out>SKIPPED only root can become another user</system-out></testcase>
 </testsuite>
 """
+TEST = re.compile(r"^TEST_F\((\w+), (\w+)", re.MULTILINE)
+CLASS = re.compile(r"^(?:class|struct) (\w+)(?: final)? : (?:public )?([\w:]+)", re.MULTILINE)
 LIMITS = {"minutes": 1, "pace_s": 0.5, "slower_at_most": 1.25, "skips_allowed": {"avx2": ["not root", "no AVX2"]}}
 
 
@@ -94,6 +96,30 @@ class SummaryTest(unittest.TestCase):
         self.assertGreater(len(names), 2)
         allowed = json.loads(summary.LIMITS.read_text())["skips_allowed"]
         self.assertEqual({name for name in names if not any(re.search(each, name) for each in allowed)}, set())
+
+    def test_all_tests_that_need_a_part_of_the_kernel_may_be_skipped_where_it_is_missing(self):
+        causes = {"this kernel has no Landlock": "Landlock older than 1", "this kernel cannot restrict connections": "Landlock older than 4"}
+        texts = [file.read_text() for file in (TREE / "tests").rglob("*.cc")]
+        tests = [found.groups() for text in texts for found in TEST.finditer(text)]
+        derived = [found.groups() for text in texts for found in CLASS.finditer(text)]
+        allowed = json.loads(summary.LIMITS.read_text())["skips_allowed"]
+        seen = set()
+        for text in texts:
+            for skip in re.finditer(r'GTEST_SKIP\(\) << "(this kernel[^"]*)"', text):
+                before = [found for pattern in (TEST, CLASS) for found in pattern.finditer(text, 0, skip.start())]
+                place = max(before, key=lambda found: found.start())
+                names = {place[0].removeprefix("TEST_F(").replace(", ", ".")}
+                if place.re is CLASS:  # all tests of the fixture, and of those that are made of it
+                    fixtures = {place[1]}
+                    while more := {name for name, base in derived if base in fixtures} - fixtures:
+                        fixtures |= more
+                    names = {f"{suite}.{name}" for suite, name in tests if suite in fixtures}
+                self.assertTrue(names)
+                seen |= names
+                for name in names:
+                    found = [cause for pattern, named in allowed.items() if re.search(pattern, name) for cause in named]
+                    self.assertIn(causes[skip[1]], found, name)
+        self.assertGreater(len({name.split(".")[0] for name in seen}), 3)
 
     def test_in_ci_the_whole_must_stay_within_its_minutes(self):
         steps = [(50, "building", 0.5, 100), (20, "testing", 0.4, 40)]
