@@ -3,10 +3,11 @@
 
 usage: ninja ... | progress.py build WHAT
        ctest ... | progress.py tests WHAT [--costs FILE]...      FILE: ctest's CTestCostData.txt of earlier runs
-       cmake ... | progress.py configuration WHAT
-       ... | progress.py other WHAT                              another program, which does not say how far it is
+       cmake ... | progress.py configuration WHAT [--took FILE]
+       ... | progress.py other WHAT [--took FILE]                another program, which does not say how far it is
 
-Reads what the program prints. On a terminal one line is written over and over, otherwise a line every 30 s. Warnings,
+--took: FILE gets the seconds that this took, and had those of the time before: that is how the time left is known. CMake's
+first run in a new folder is judged by its lines. Reads what the program prints. On a terminal one line is written over and over, otherwise a line every 30 s. Warnings,
 errors, tests that fail, and all that another program prints are passed on at once; the rest is in the file that the
 caller keeps.
 """
@@ -15,6 +16,7 @@ import re
 import select
 import sys
 import time
+from pathlib import Path
 
 PERIOD_S = 30
 
@@ -88,15 +90,19 @@ class Tests:
 class Configuration:
     """Follows CMake's output, of which a person who waits sees the last line; all of it is in the file that the caller keeps."""
 
+    LINES = 80  # about as many does CMake print in a new folder; later it prints fewer
+
     def __init__(self, _costs):
         self.now = ""
+        self.lines = 0
 
     def take(self, line):
         self.now = line.removeprefix("-- ").strip() or self.now
+        self.lines += 1
         return None
 
     def share(self):
-        return 0.0
+        return self.lines / self.LINES if self.lines < self.LINES else 0.0
 
     def text(self):
         return "under way", self.now
@@ -136,16 +142,39 @@ def read_costs(files):
     return costs
 
 
-class Teller:
-    """Tells how far the work is: again and again on one line of a terminal, elsewhere every 30 s."""
+class Took:
+    """The seconds that something took the last time, in a file."""
 
-    def __init__(self, what, work, out, clock=time.monotonic):
-        self.what, self.work, self.out, self.clock = what, work, out, clock
+    LEAST_S = 3  # what is done sooner needs no telling, and says nothing about a time with more to do
+
+    def __init__(self, file):
+        self.file = file
+        try:
+            self.seconds = float(file.read_text(encoding="ascii"))
+        except (OSError, ValueError):
+            self.seconds = 0.0
+
+    def keep(self, seconds):
+        if seconds >= self.LEAST_S:
+            self.file.parent.mkdir(parents=True, exist_ok=True)
+            self.file.write_text(f"{seconds:.0f}\n", encoding="ascii")
+
+
+class Teller:
+    """Tells how far the work is: again and again on one line of a terminal, elsewhere every 30 s. `before`: the seconds that it
+    took the last time; 0: that is not known."""
+
+    def __init__(self, what, work, out, clock=time.monotonic, before=0.0):
+        self.what, self.work, self.out, self.clock, self.before = what, work, out, clock, before
         self.began = self.told = clock()
         self.terminal = out.isatty()
 
+    def spent(self):
+        return self.clock() - self.began
+
     def line(self):
-        spent, share = self.clock() - self.began, self.work.share()
+        spent = self.spent()
+        share = spent / self.before if spent < self.before else self.work.share()
         how_far, now = self.work.text()
         left = f", about {in_minutes(spent / share * (1 - share))} left" if share > 0.02 and spent > 3 else ""
         return f"{self.what}: {how_far}, {in_minutes(spent)}{left}" + (f"   {now}" if now else "")
@@ -188,9 +217,11 @@ def main():
     parser.add_argument("kind", choices=list(KINDS))
     parser.add_argument("what")
     parser.add_argument("--costs", action="append", default=[])
+    parser.add_argument("--took", type=Path)
     given = parser.parse_args()
+    took = Took(given.took) if given.took else None
     work = KINDS[given.kind](read_costs(given.costs))
-    teller = Teller(given.what, work, sys.stdout)
+    teller = Teller(given.what, work, sys.stdout, before=took.seconds if took else 0.0)
     for line in lines_with_pauses(sys.stdin.buffer, 1):
         if line is not None:
             text = work.take(line)
@@ -198,6 +229,8 @@ def main():
                 teller.say(text)
         teller.tick()
     teller.end()
+    if took:
+        took.keep(teller.spent())
 
 
 if __name__ == "__main__":

@@ -2,8 +2,10 @@
 """Tests how development/progress.py reads the output of ninja, ctest and CMake."""
 import io
 import sys
+import tempfile
 import unittest
 from pathlib import Path
+from unittest import mock
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
 
@@ -53,6 +55,16 @@ class ConfigurationTest(unittest.TestCase):
         self.assertEqual(configuration.text(), ("under way", "Found OpenSSL: /usr/lib/libcrypto.so"))
 
 
+    def test_in_a_new_folder_its_lines_say_how_far_it_is(self):
+        configuration = progress.Configuration({})
+        for _ in range(progress.Configuration.LINES // 2):
+            configuration.take("-- Found it")
+        self.assertEqual(configuration.share(), 0.5)
+        for _ in range(progress.Configuration.LINES):
+            configuration.take("-- and more than was thought")
+        self.assertEqual(configuration.share(), 0.0, "that is not known")
+
+
 class TellerTest(unittest.TestCase):
     def test_without_a_terminal_tells_every_30_s_how_much_is_left(self):
         now = [0.0]
@@ -63,6 +75,27 @@ class TellerTest(unittest.TestCase):
         for now[0] in (10.0, 29.0, 31.0, 45.0):
             teller.tick()
         self.assertEqual(out.getvalue(), "building release: step 10 of 40, 31 s, about 1.6 min left   x\n")
+
+    def test_what_it_took_the_last_time_says_how_much_is_left(self):
+        now = [0.0]
+        out = io.StringIO()
+        teller = progress.Teller("docs", progress.Other({}), out, lambda: now[0], before=40.0)
+        for now[0] in (31.0, 62.0):
+            teller.tick()
+        self.assertEqual(out.getvalue(), "docs: under way, 31 s, about 9 s left\ndocs: under way, 62 s\n")
+
+    def test_what_took_long_is_kept_for_the_next_time(self):
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder, "took", "docs")
+            self.assertEqual(progress.Took(file).seconds, 0.0)
+            progress.Took(file).keep(40.2)
+            progress.Took(file).keep(1.0)  # nothing had changed
+            self.assertEqual(progress.Took(file).seconds, 40.0)
+            with mock.patch.object(sys, "argv", ["progress.py", "other", "docs", "--took", str(file)]), \
+                    mock.patch.object(progress, "lines_with_pauses", return_value=iter([])), \
+                    mock.patch.object(progress.Teller, "spent", return_value=7.0):
+                progress.main()
+            self.assertEqual(file.read_text(), "7\n")
 
     def test_of_another_program_it_tells_the_time_and_passes_on_all_lines(self):
         now = [0.0]
