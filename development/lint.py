@@ -7,7 +7,8 @@ usage: lint.py --build FOLDER [--since COMMIT] [--in-time]
 It looks at all sources, or at those sources and headers that changed since COMMIT; files that git does not know yet
 belong to both. Each file is read alone, so one that forgets an include is found. With --in-time no further file is
 started after the `lint_seconds` of limits.json, which are a part of its `minutes`; the last line says how many files
-were left out, and which. FOLDER/left_out names them, too: the next run looks at them first, whatever has changed since its
+were left out, and which. It then begins at another file with each commit, so that a machine that begins with an empty FOLDER
+each time gets round to all. FOLDER/left_out names them, too: the next run looks at them first, whatever has changed since its
 COMMIT, and ./dev test tells them in its summary. A file that was found clean is not looked at again until it, a header, a
 definition in Thrift, a CMake file or clang-tidy's options change: FOLDER/clean remembers it. The exit status is 1 when
 clang-tidy found something.
@@ -24,7 +25,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent))
 
-from progress import PERIOD_S, in_minutes  # noqa: E402
+from progress import Teller, in_minutes  # noqa: E402
 
 LIMITS = Path(__file__).resolve().parent / "limits.json"
 
@@ -45,6 +46,31 @@ def chosen(since):
     if since is not None:
         return sorted(file for file in changed_files(since) if file.endswith((".cc", ".h")))
     return sorted(git_files("ls-files", "-z", "--cached", "--others", "--exclude-standard", "--", "*.cc"))
+
+
+def begun_elsewhere(files):
+    """The files in their order, from one on that depends on the commit."""
+    if not files:
+        return files
+    begin = int(git_files("rev-parse", "HEAD")[0], 16) % len(files)
+    return files[begin:] + files[:begin]
+
+
+class Progress:
+    """How far the work is, for Teller."""
+
+    def __init__(self, count, seconds):
+        self.done, self.all, self.seconds = 0, count, seconds
+        self.began = time.monotonic()
+
+    def spent(self):
+        return time.monotonic() - self.began
+
+    def share(self):
+        return max(self.done / self.all if self.all else 1.0, min(self.spent() / self.seconds, 1.0))
+
+    def text(self):
+        return f"{self.done} of {self.all} files", ""
 
 
 def left_out_before(file):
@@ -97,19 +123,19 @@ def main():
     seconds = json.loads(LIMITS.read_text(encoding="utf-8"))["lint_seconds"] if given.in_time else float("inf")
     remembered = Remembered(Path(given.build) / "clean")
     memory = Path(given.build) / "left_out"
-    named = [file for file in dict.fromkeys([*left_out_before(memory), *chosen(given.since)]) if Path(file).exists()]
+    listed = begun_elsewhere(chosen(given.since)) if given.in_time else chosen(given.since)
+    named = [file for file in dict.fromkeys([*left_out_before(memory), *listed]) if Path(file).exists()]
     files = [file for file in named if not remembered.is_clean(file)]
     print(f"lint: {len(named)} files" + (f" changed since {given.since[:12]}, or left out before" if given.since else "") +
           f"; {len(named) - len(files)} are as they were when they were found clean", flush=True)
-    began = told = time.monotonic()
-    done, bad = 0, 0
-    terminal = sys.stdout.isatty()
+    work, bad = Progress(len(files), seconds), 0
+    teller = Teller("lint", work, sys.stdout)
     with concurrent.futures.ThreadPoolExecutor(os.cpu_count()) as pool:
         waiting = iter(files)
         running = set()
         left_out = []
         while True:
-            while len(running) < os.cpu_count() and time.monotonic() - began < seconds:
+            while len(running) < os.cpu_count() and work.spent() < seconds:
                 file = next(waiting, None)
                 if file is None:
                     break
@@ -117,18 +143,16 @@ def main():
             if not running:
                 left_out = list(waiting)
                 break
-            finished, running = concurrent.futures.wait(running, return_when=concurrent.futures.FIRST_COMPLETED)
+            finished, running = concurrent.futures.wait(running, timeout=1, return_when=concurrent.futures.FIRST_COMPLETED)
             for result in finished:
                 file, status, said = result.result()
-                done += 1
+                work.done += 1
                 if status != 0:
                     bad += 1
-                    print(f"{file}:\n{said}", flush=True)
-            if terminal or time.monotonic() - told >= PERIOD_S:
-                told = time.monotonic()
-                print(f"lint: {done} of {len(files)} files, {in_minutes(told - began)}", end="\r" if terminal else "\n",
-                      flush=True)
-    closing = f"lint: {done} files, {bad} with findings, {in_minutes(time.monotonic() - began)}"
+                    teller.say(f"{file}:\n{said}")
+            teller.tick()
+    teller.end()
+    closing = f"lint: {work.done} files, {bad} with findings, {in_minutes(work.spent())}"
     if left_out:
         closing += f"; {len(left_out)} left out after {seconds:.0f} s: {' '.join(left_out)}"
     print(closing)
