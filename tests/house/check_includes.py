@@ -62,12 +62,13 @@ HEAVY_HEADERS = {
                           "tests/master/cli/cli_fixture.h"),
     "thrift/": ("tests/fuzz/thrift_frames.h", "tests/rpc/service.h"),
 }
-# Targets that compile for long, and what does without them: what newcomers compile first, and the fuzz targets of decoders, for which
-# asan would compile them and nothing else (tests/fuzz/CMakeLists.txt).
+# Targets that compile for long, and what does without them: what newcomers compile first, and what ./dev test runs under asan,
+# which would compile them for it alone: fuzz targets of decoders (tests/fuzz/CMakeLists.txt), and tests.
 LONG = ("rpc_http", "driver_host", "gateway", "master", "master_server", "topology_endpoints")
 WITHOUT = {"turtlebot-demo": ("rpc_http", "rpc", "gateway_daemon")}
+NO_LIBRARIES = ("asan", "test", "threaded fuzzer")  # kinds of targets that no other uses
 INCLUDE = re.compile(r'^\s*#\s*include\s*([<"])([^>"]+)[>"]')
-TARGET = re.compile(r"^[ \t]*iotcloud_(room|program|plugin|thrift|fuzzer)\(([^()]*)\)", re.MULTILINE)
+TARGET = re.compile(r"^[ \t]*iotcloud_(room|program|plugin|thrift|fuzzer|test)\(([^()]*)\)", re.MULTILINE)
 
 
 def room_violation(file, target_room):
@@ -174,19 +175,36 @@ def check_source(root, file):
             yield f"{file}:{number}: {include.group(2)}: {reason}"
 
 
+def kind_of(function, words):
+    """"asan" for what ./dev test runs under asan, as cmake/IotcloudTests.cmake decides it, "test" for other tests, "threaded
+    fuzzer" for those, and otherwise the function's kind."""
+    if function == "fuzzer":
+        return "threaded fuzzer" if "THREADED" in words else "asan"
+    if function != "test":
+        return function
+    label = words[words.index("LABELS") + 1] if "LABELS" in words else ""
+    sanitizers = {"asan", "tsan"} if label in ("unit", "contract") else set()
+    if "SANITIZERS" in words:
+        at = words.index("SANITIZERS") + 1
+        sanitizers = {word for word in words[at:at + 2] if word in ("asan", "tsan")}
+    return "asan" if "LATER" not in words and ("asan" in sanitizers and ("OPTIMIZED" in words or "tsan" not in sanitizers)) else "test"
+
+
 def targets_of(root, file):
     """(line, kind, name, names of the rooms' targets that it uses) of each target in a CMakeLists.txt."""
     text = re.sub(r"#[^\n]*", "", (root / file).read_text())
     for call in TARGET.finditer(text):
         name, keyword, used = None, None, []
         for word in call.group(2).split():
+            if word.startswith("${"):  # fuzz targets name those
+                continue
             if word.isupper():
                 keyword = word
             elif keyword == "NAME":
                 name = word
             elif keyword == "USES" or word.startswith("iotcloud_"):
                 used.append(word.removeprefix("iotcloud_"))
-        kind = "threaded fuzzer" if re.search(r"\bTHREADED\b", call.group(2)) else call.group(1)
+        kind = kind_of(call.group(1), call.group(2).split())
         yield text[: call.start()].count("\n") + 1, kind, name, used
 
 
@@ -200,9 +218,9 @@ def way_to(name, wanted, uses):
 
 def check_long(targets):
     """What compiles for long is used only by what cannot do without."""
-    uses = {name: used for _, _, kind, name, used in targets if not kind.endswith("fuzzer")}
+    uses = {name: used for _, _, kind, name, used in targets if kind not in NO_LIBRARIES}
     for file, line, kind, name, used in targets:
-        without = LONG if kind == "fuzzer" else WITHOUT.get(name, ()) if kind == "program" else ()
+        without = LONG if kind == "asan" else WITHOUT.get(name, ()) if kind == "program" else ()
         for target in without:
             way = next(filter(None, (way_to(by, target, uses) for by in used)), None)
             if way:
@@ -212,7 +230,7 @@ def check_long(targets):
 def check_targets(root, files):
     targets = [(file, *target) for file in files for target in targets_of(root, file)]
     yield from check_long(targets)
-    places = {name: (file, kind) for file, _, kind, name, _ in targets if kind != "program" and not kind.endswith("fuzzer")}
+    places = {name: (file, kind) for file, _, kind, name, _ in targets if kind != "program" and kind not in NO_LIBRARIES}
     for file, line, _, name, uses in targets:
         room = file.split("/")[0]
         for used in uses:

@@ -109,6 +109,13 @@ class CheckIncludes(unittest.TestCase):
         self.assertTrue(problem.startswith("examples/CMakeLists.txt:1: turtlebot-demo uses local -> rpc_http, "), problem)
         [problem] = self.problems_of({**recipes, "tests": recipes["tests"].replace("THREADED ", "")})
         self.assertTrue(problem.startswith("tests/CMakeLists.txt:2: http uses rpc_http, "), problem)
+        for labels, is_asan in (("unit SANITIZERS asan", True), ("unit SANITIZERS asan TIMEOUT 9", True), ("unit OPTIMIZED", True),
+                                ("contract", False), ("unit SANITIZERS asan tsan", False), ("unit SANITIZERS none", False),
+                                ("unit SANITIZERS tsan", False), ("unit LATER SANITIZERS asan", False), ("system", False)):
+            test = f"iotcloud_test(NAME page_test SOURCES a.cc USES ${{PARTS}} rpc_http LABELS {labels})\n"
+            problems = self.problems_of({**recipes, "tests": recipes["tests"] + test})
+            self.assertEqual([problem[:51] for problem in problems],
+                             ["tests/CMakeLists.txt:3: page_test uses rpc_http, wh"] if is_asan else [], labels)
 
     def problems_of(self, recipes):
         with tempfile.TemporaryDirectory() as root:
