@@ -35,13 +35,10 @@ target_include_directories(zookeeper_mt SYSTEM INTERFACE ${ZOOKEEPER_INCLUDE_DIR
 target_compile_definitions(zookeeper_mt INTERFACE THREADED)
 target_link_libraries(zookeeper_mt INTERFACE ${ZOOKEEPER_LIBRARY} Threads::Threads)
 
-# The protocol engine, which Debian ships without the name that linkers look for; tests and benchmarks link
-# qpid-proton-cpp beside it (both by name: the .pc files are incomplete).
+# The protocol engine, by its file, because Debian ships it without the name that linkers look for.
 find_path(QPID_PROTON_INCLUDE_DIR proton/connection_driver.h REQUIRED)
 find_library(QPID_PROTON_CORE_LIBRARY libqpid-proton-core.so.10 REQUIRED)
 set(QPID_PROTON_CORE -l:libqpid-proton-core.so.10)
-find_path(QPID_PROTON_CPP_INCLUDE_DIR proton/messaging_handler.hpp REQUIRED)
-find_library(QPID_PROTON_CPP_LIBRARY qpid-proton-cpp REQUIRED)
 
 # Optional: what needs a library that is not here is left out, and everything else is built. IOTCLOUD_NO_ROS and
 # IOTCLOUD_NO_JNI say what is missing for whom, or nothing; tests that need it say so (MISSING, IotcloudTests.cmake).

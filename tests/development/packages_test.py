@@ -29,8 +29,8 @@ class PackagesTest(unittest.TestCase):
             (self.folder / name).write_text(f"#!/bin/sh\n{text}\n")
             (self.folder / name).chmod(0o755)
 
-    def installed_by(self, *words):
-        """Those of ALL that a command installs, which installs the compiler in any case."""
+    def installed_by(self, *words, of=frozenset(ALL)):
+        """Those of ALL (or `of`) that a command installs, which installs the compiler in any case."""
         environment = {name: value for name, value in os.environ.items() if name != "IOTCLOUD_STEPS"}
         done = subprocess.run([self.folder / "dev", *words], capture_output=True, text=True, stdin=subprocess.DEVNULL,
                               env={**environment, "PATH": f"{self.folder}:{environment['PATH']}"})
@@ -39,7 +39,7 @@ class PackagesTest(unittest.TestCase):
         self.assertNotEqual(done.returncode, 0)
         packages = set(told[1].split())
         self.assertIn("g++", packages)
-        return packages & ALL
+        return packages & of
 
     def test_the_demo_in_one_process_installs_no_server_and_no_store(self):
         self.assertEqual(self.installed_by("demo"), PICTURES)
@@ -50,6 +50,11 @@ class PackagesTest(unittest.TestCase):
         self.assertEqual(self.installed_by("bench", "brokers", "--quick", "--only", "rabbitmq"), {"rabbitmq-server"})
         self.assertEqual(self.installed_by("bench", "brokers", "--only=kafka"), {"maven", "openjdk-17-jdk-headless"})
         self.assertEqual(self.installed_by("bench", "brokers"), {"rabbitmq-server", "maven", "openjdk-17-jdk-headless"})
+
+    def test_the_bare_amqp_client_is_installed_where_it_is_compiled(self):
+        client = {"libqpid-proton-cpp12-dev"}
+        for words, expected in ((("demo",), set()), (("bench", "brokers"), client), (("build",), client), (("test", "--unit"), client)):
+            self.assertEqual(self.installed_by(*words, of=client), expected, words)
 
     def test_what_builds_or_documents_all_of_the_sdks_installs_the_stores(self):
         for words in (("build",), ("docs",), ("install", "there"), ("bench", "state")):
