@@ -1,6 +1,5 @@
 // Behaviour that needs a real RabbitMQ server: alarms, hanging, objects deleted or made by others.
 #include <algorithm>
-#include <chrono>
 #include <filesystem>
 #include <future>
 #include <memory>
@@ -335,34 +334,6 @@ TEST_P(RabbitMqServer, ThePrefetchOfADurableTopicIsRaisedUnlessItsQueueIsAQuorum
     EXPECT_FALSE(holder.wait_for(type == "classic" ? 21 : 6, moment));
     holder.drop_all();
   }
-}
-
-TEST_P(RabbitMqServer, ABodyThatFillsItsFramesIsNotKeptBack) {
-  // librabbitmq marks the last full frame with "more follows", and the kernel would then wait 200 ms each time.
-  constexpr std::size_t frame = 131072 - 8;
-  constexpr int rounds = 25;
-  using std::chrono::steady_clock;
-  const auto broker = this->broker();
-  const Topic topic = this->topic();
-  Inbox inbox;
-  const auto subscription = broker->subscribe(topic, {}, inbox.handler());
-  await_active(*subscription);
-  const auto publisher = broker->publisher(topic, {});
-  std::size_t count = 0;
-  // A message that is kept back takes 200 ms each time; of one that is not the quickest of many takes less, however
-  // busy the machine is.
-  const auto quickest = [&](std::size_t size) {
-    auto least = steady_clock::duration::max();
-    for (int i = 0; i < rounds; ++i) {
-      const auto start = steady_clock::now();
-      publisher->publish(text_message(std::string(size, 'x')));
-      EXPECT_TRUE(inbox.wait_for(++count));
-      least = std::min(least, steady_clock::now() - start);
-    }
-    return least;
-  };
-  const auto other = quickest(frame + 1);
-  EXPECT_LT(quickest(frame), other + std::chrono::milliseconds(150));
 }
 
 TEST_P(RabbitMqServer, AnExchangeThatIsDeletedIsDeclaredAgain) {
