@@ -9,7 +9,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -59,7 +58,8 @@ def check_pause(control):
     require([o["outcome"] for o in answer["outcomes"]] == ["done", "done"], answer)
     require(control.json("list")[0]["state"] == "inactive", control.json("list"))
     paused = control.quiet_sums()
-    time.sleep(1)  # the drivers go on sending; no message may come through
+    for driver in control.cluster.json("drivers"):  # they go on sending; no message may come through
+        control.cluster.cli("channel", "echo", driver["instance"], "data", "-n", 25)
     require(control.sums() == paused, "messages went through an inactive topology")
     return paused
 
