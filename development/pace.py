@@ -4,8 +4,8 @@
 usage: pace.py
 
 The time that a program waits for a core does not count, so that other programs on the machine change it little: what
-it shows is how fast the cores themselves are at the moment. ./dev test looks at the start of each step, and summary.py
-compares with the `pace_s` of limits.json.
+it shows is how fast the cores themselves are at the moment. ./dev test looks after each step, and summary.py compares
+with the `pace_s` of limits.json.
 """
 import random
 import time
