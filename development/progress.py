@@ -174,7 +174,9 @@ class Teller:
 
     def line(self):
         spent = self.spent()
-        share = spent / self.before if spent < self.before else self.work.share()
+        share = self.work.share()
+        if self.before:
+            share = spent / self.before if spent < self.before else 0.0  # longer than ever: nobody knows
         how_far, now = self.work.text()
         left = f", about {in_minutes(spent / share * (1 - share))} left" if share > 0.02 and spent > 3 else ""
         return f"{self.what}: {how_far}, {in_minutes(spent)}{left}" + (f"   {now}" if now else "")
