@@ -90,7 +90,7 @@ class Tests:
 class Configuration:
     """Follows CMake's output, of which a person who waits sees the last line; all of it is in the file that the caller keeps."""
 
-    LINES = 80  # about as many does CMake print in a new folder; later it prints fewer
+    LINES = 66  # about as many does CMake print in a new folder; later it prints fewer
 
     def __init__(self, _costs):
         self.now = ""
