@@ -192,8 +192,27 @@ def check_storm(cluster, build):
         wait_for(f"1000 messages of {gateway} are back", lambda name=name: report(cluster, name), HEAL_LIMIT_S)
         result = report(cluster, name)
         require(result["sent"] == 1000 and not result["lost"] and not result["damaged"], result)
+    check_that_storm_is_apart(cluster)
     cluster.cli("undeploy", "--driver", "mirrored-on-storm")
     print(f"a topology runs on Apache Storm; of 2 x 1000 messages none is lost, after {time.monotonic() - begin:.1f} s", flush=True)
+
+
+def check_that_storm_is_apart(cluster):
+    """Storm asks nobody who he is. Whoever has a gateway's container reaches none of it, by name or by address; Nimbus does, so that
+    there is something to reach."""
+    require(connects(cluster, "gateway-2", "rabbitmq", 5671), "gateway-2 reaches nobody at all")
+    for service, ports in {"nimbus": [6627], "supervisor": [6628, 6700, 6701], "storm-zookeeper": [2181]}.items():
+        networks = cluster.inspect(service)["NetworkSettings"]["Networks"]
+        for port in ports:
+            require(connects(cluster, "nimbus", service, port), f"nimbus does not reach {service}:{port}")
+            for host in [service, *(network["IPAddress"] for network in networks.values())]:
+                require(not connects(cluster, "gateway-2", host, port), f"the thief of gateway-2 reaches {service} by {host}:{port}")
+
+
+def connects(cluster, service, host, port):
+    """Whether a program in a service's container gets a connection."""
+    return cluster.docker.inside("docker", "exec", cluster.container(service), "timeout", "2", "bash", "-c", f"exec 3<>/dev/tcp/{host}/{port}",
+                                 capture_output=True).returncode == 0
 
 
 def check_confined(cluster):

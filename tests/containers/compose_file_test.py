@@ -23,12 +23,14 @@ sys.path.insert(0, str(ROOT / "deploy/cluster"))
 
 import cluster  # noqa: E402  (its folder is known now)
 SERVICES = {"zookeeper", "registry-tls", "rabbitmq", "kafka", "master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2",
-            "pool-1", "pool-2", "prometheus", "nimbus", "supervisor"}
+            "pool-1", "pool-2", "prometheus", "storm-zookeeper", "nimbus", "supervisor"}
 DAEMONS = {"master-1", "master-2", "gateway-1", "gateway-2", "topology-1", "topology-2", "pool-1", "pool-2"}
 RUN_ONCE = {"bench", "cli", "secrets", "storm"}  # by a person, or by ./dev cluster
-# Who is on ZooKeeper's network, without TLS: the other end of the tunnels, and Apache Storm, of which no port is published.
-NETWORKS = {"zookeeper": ["registry"], "registry-tls": ["default", "registry"], "nimbus": ["registry"],
-            "supervisor": ["default", "registry"], "storm": ["registry"]}
+# Who is on another network than the daemons. On that of the registry's ZooKeeper nothing is encrypted: it is for the other end of
+# the tunnels, and for the workers of Apache Storm. Storm asks nobody who he is, so it is on a network of its own, with a ZooKeeper
+# of its own; RabbitMQ comes to its workers there.
+NETWORKS = {"zookeeper": ["registry"], "registry-tls": ["default", "registry"], "rabbitmq": ["default", "storm"],
+            "storm-zookeeper": ["storm"], "nimbus": ["storm"], "supervisor": ["storm", "registry"], "storm": ["storm"]}
 # What gateways may share with others: it is public.
 SHARED = {"ca.pem", "revoked.pem", "registry.users", "master-1.orders.pub", "master-2.orders.pub", "plugins.pub"}
 FOLDER = re.compile(r"\$\{SECRETS:-\./build/cluster/secrets\}/([a-z0-9-]+):/run/secrets:ro")
@@ -70,15 +72,18 @@ def shared_secrets(services):
 
 
 def ways_around_the_tunnel(file):
-    """Only registry-tls and Apache Storm are on ZooKeeper's network, and each daemon has a tunnel to it, with a certificate."""
+    """Only registry-tls and the workers of Apache Storm are on ZooKeeper's network, and each daemon has a tunnel to it, with a
+    certificate; no daemon is on a network with Storm."""
     services = file["services"]
-    if file.get("networks") != {"registry": {"internal": True}}:
-        yield "the network of ZooKeeper leads elsewhere"
+    if file.get("networks") != {"registry": {"internal": True}, "storm": {"internal": True}}:
+        yield "the networks of ZooKeeper and Storm lead elsewhere"
     for name, service in services.items():
         if service.get("networks") != NETWORKS.get(name):
             yield f"{name} is on the networks {service.get('networks')}"
-        if name in NETWORKS and "ports" in service:
+        if name in NETWORKS and name != "rabbitmq" and "ports" in service:
             yield f"{name} publishes {service['ports']}, where nobody is asked who he is"
+        if name in ("nimbus", "supervisor") and 'storm.zookeeper.servers=["storm-zookeeper"]' not in service["command"]:
+            yield f"{name} has its nodes in the registry's ZooKeeper, where no right guards them"
         if name in DAEMONS:
             if service["command"][0] != "iotcloud-with-registry-tunnel":
                 yield f"{name} has no tunnel to the registry"
@@ -128,7 +133,7 @@ def problems_of_service(name, service, services):
     for other, how in service.get("depends_on", {}).items():
         if how != {"condition": "service_healthy"} or "healthcheck" not in services.get(other, {}):
             yield f"does not wait until {other} is healthy"
-    if name in SERVICES - {"zookeeper", "rabbitmq", "kafka"} and not service.get("depends_on"):
+    if name in SERVICES - {"zookeeper", "storm-zookeeper", "rabbitmq", "kafka"} and not service.get("depends_on"):
         yield "waits for nobody"
     for port in service.get("ports", []):
         if not re.fullmatch(r"127\.0\.0\.1:\$\{[A-Z0-9_]+:-\d+\}:\d+", port):
@@ -171,7 +176,11 @@ def check_that_it_finds(file):
         "pool-1 has no tunnel": lambda services: services["pool-1"]["command"].pop(0),
         "topology-1 has no certificate": lambda services: services["topology-1"].update(volumes=[]),
         "prometheus publishes": lambda services: services["prometheus"].update(ports=["${PROMETHEUS_PORT:-9090}:9090"]),
-        "nimbus is on the networks": lambda services: services["nimbus"].update(networks=["default", "registry"]),
+        "nimbus is on the networks": lambda services: services["nimbus"].update(networks=["default", "storm"]),
+        "supervisor is on the networks": lambda services: services["supervisor"].update(networks=["default", "registry"]),
+        "supervisor has its nodes in the registry's ZooKeeper": lambda services: services["supervisor"]["command"].pop(3),
+        "storm-zookeeper is on the networks": lambda services: services["storm-zookeeper"].update(networks=["registry"]),
+        "gateway-2 is on the networks": lambda services: services["gateway-2"].update(networks=["default", "storm"]),
         "nimbus publishes": lambda services: services["nimbus"].update(ports=["127.0.0.1:${NIMBUS_PORT:-6627}:6627"]),
         "supervisor has the secrets of pool-1":
             lambda services: replace_volume(services["supervisor"], "secrets}/supervisor:", "secrets}/pool-1:"),
