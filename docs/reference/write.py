@@ -40,6 +40,8 @@ DAEMONS = (
     ("iotcloud-topology", "topology.yaml", "topology/definition/README.md"),
     ("iotcloud-topology --pool", "pool.yaml", None),
 )
+# A name of the user's choice in the default file that iotcloud-topology lists as it stands there, because a URL may be below it, too.
+CHOSEN = re.compile(r"^brokers\.rabbitmq\.")
 # What the first cell of that README's second table stands for.
 OWNERS = {"all": ["spouts.<name>.", "bolts.<name>."], "spouts": ["spouts.<name>."], "bolts": ["bolts.<name>."],
           "inputs": ["bolts.<name>.inputs[]."]}
@@ -248,7 +250,8 @@ def section(program, file, readme, binaries):
         folder.mkdir(mode=0o700)
         configuration = folder / file
         configuration.write_text(furnished(complete, folder, binaries))
-        keys = asked(program, configuration, binaries)
+        keys = [{**entry, "key": CHOSEN.sub("brokers.<name>.", entry["key"])} for entry in asked(program, configuration, binaries)
+                if not CHOSEN.fullmatch(entry["key"] + ".")]
     beside = {key: text for key, text in comments(complete).items() if any(text)}
     said = tables(readme and ROOT / readme) | beside
     mentioned = source + ((ROOT / readme).read_text() if readme else "")

@@ -234,6 +234,24 @@ std::map<std::string, brokers::BrokerOptions> read_brokers(YamlSection& root,
   return brokers;
 }
 
+/// Refuses brokers whose addresses the records name, in a fleet whose processes have users of their own: there whoever
+/// has the user of one gateway writes that gateway's records, and is nobody else.
+void refuse_addresses_of_records(const std::vector<ComponentDefinition>& components,
+                                 const std::map<std::string, brokers::BrokerOptions>& brokers) {
+  for (const auto& component : components) {
+    if (!component.endpoint) continue;
+    const std::string& name = component.endpoint->broker;
+    const auto found = brokers.find(name);
+    if (found != brokers.end() && !found->second.urls.empty()) continue;
+    component.section.refuse("broker",
+                             "\"" + name +
+                                 "\" has no address in this file, so that messages would go to whatever address a "
+                                 "channel's record names; with \"registry.users\" whoever has one gateway's user could "
+                                 "name any",
+                             "list the broker's own addresses: \"brokers: {" + name + ": {urls: [...]}}\"");
+  }
+}
+
 /// The logical broker names that a topology may use: all kinds of brokers, the paper's own name (whatever serves it),
 /// and the names in `brokers`.
 std::vector<std::string> broker_names(const std::map<std::string, brokers::BrokerOptions>& brokers) {
@@ -319,6 +337,10 @@ TopologyDefinition TopologyDefinition::read(YamlSection& root, const std::string
   const auto names = broker_names(definition.brokers);
   for (auto& [id, section] : root.sections("spouts")) definition.spouts.push_back(read_spout(id, section, names));
   for (auto& [id, section] : root.sections("bolts")) definition.bolts.push_back(read_bolt(id, section, names));
+  if (root.has("registry.users")) {
+    refuse_addresses_of_records(definition.spouts, definition.brokers);
+    refuse_addresses_of_records(definition.bolts, definition.brokers);
+  }
   root.finish();
   refuse_double_readers(definition.spouts);
   refuse_marks_in_groups(definition);

@@ -219,6 +219,38 @@ TEST(TopologyDefinition, TakesCredentialsOnlyWithTheAddressesThatTheyAreFor) {
   EXPECT_EQ(error_of(with_broker("heartbeat: 1s")), "") << "where to connect may be left to the records";
 }
 
+TEST(TopologyDefinition, OfAFleetWhoseProcessesHaveUsersGoesToAddressesOfItsOwnFileOnly) {
+  const std::string text =
+      with_bolt(
+          "    broker: rabbitmq\n    driver: d\n    channel: e\n    fields: [f, driverID]\n    inputs: {from: s}\n") +
+      "  inner: {class: some.Class, inputs: {from: s}}\n"
+      "registry.user: workers\nregistry.password_file: /etc/p\nregistry.users: /etc/users\n";
+  const auto error_with = [&](const std::string& brokers) -> std::string {
+    try {
+      config::YamlSection::read_text(text + brokers, "t.yaml", [](config::YamlSection& top) {
+        top.is_for_another_machine();
+        static_cast<void>(TopologyDefinition::read(top, "t.yaml"));
+      });
+    } catch (const config::ConfigError& e) {
+      return e.what();
+    }
+    return "";
+  };
+  for (const std::string brokers : {"", "brokers: {rabbitmq: \"\"}\n", "brokers: {rabbitmq: {heartbeat: 1s}}\n",
+                                    "brokers: {lab: \"amqps://b/\"}\n"}) {
+    std::vector<std::string> lines;
+    std::istringstream errors(error_with(brokers));
+    for (std::string line; std::getline(errors, line);) lines.push_back(line);
+    const auto says = AllOf(HasSubstr("whatever address a channel's record names"),
+                            HasSubstr("\"brokers: {rabbitmq: {urls: [...]}}\""));
+    EXPECT_THAT(lines, ElementsAre(AllOf(StartsWith("t.yaml:5:5: spouts.s.broker: \"rabbitmq\""), says),
+                                   AllOf(StartsWith("t.yaml:11:5: bolts.b.broker: \"rabbitmq\""), says)))
+        << brokers;
+  }
+  EXPECT_EQ(error_with("brokers: {rabbitmq: \"amqps://b/\"}\n"), "");
+  EXPECT_EQ(error_with("brokers: {rabbitmq: {urls: [\"amqps://b/\"]}}\n"), "");
+}
+
 TEST(TopologyDefinition, ReadsAutomaticAcknowledgement) {
   const auto definition =
       TopologyDefinition::parse(with_spout(good_spout + "    properties: {ackMode: auto}\n"), "t.yaml");
