@@ -585,6 +585,29 @@ TEST_F(Access, AViewersFloodOfRefusedCallsFillsNoDisk) {
   EXPECT_THAT(audit().size(), testing::Le(30u));
 }
 
+TEST_F(Access, AHugeMessageOfAViewerOrAnOperatorEndsItsConnectionUnreadAndAnAdminsIsAnswered) {
+  const std::string huge = R"({"plugin": "turtle.so", "gateways": ["lab1"])" + std::string(2 << 20, ' ') + "}";
+  const auto give = [&](const std::string& token) {
+    auto client = connect(token);
+    wire::TOrderResponse answer;
+    client.giveOrder(answer, "deploy", huge);
+    return answer;
+  };
+  const auto& too_large = config::process_metrics().counter("iotcloud_thrift_refused_total", "",
+                                                            {{"service", "thrift"}, {"reason", "size"}});
+  for (const auto& token : {viewer_, operating_}) {
+    const auto before = too_large.value();
+    EXPECT_THROW(give(token), TTransportException);
+    EXPECT_EQ(too_large.value(), before + 1);
+  }
+  EXPECT_THAT(all_lines(), IsEmpty());
+  const auto answer = give(admin_);
+  EXPECT_EQ(answer.refusal, wire::TRefusal::BAD_REQUEST);
+  EXPECT_THAT(answer.response.statusMessage,
+              HasSubstr(std::to_string(huge.size()) + " bytes are more than it may have"));
+  EXPECT_EQ(gateway_.orders_seen(), 0);
+}
+
 TEST_F(Access, AViewerSeesNoBrokersPassword) {
   auto admin = connect(admin_);
   ASSERT_EQ(deploy(admin).response.state, TResponseState::SUCCESS);
