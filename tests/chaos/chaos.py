@@ -219,7 +219,7 @@ class Run:
             accounts = accounts_of(cluster, instances)
             accounts += [ledger.account(cluster.books, instance, ledger.BLOCKED, False) for instance in guests]
             ledger.mark_killed(accounts, {str(pid) for gateway in schedule.GATEWAYS for pid in cluster.hosts(gateway)})
-            wrong = ledger.check(accounts, cluster.emptied)
+            wrong = ledger.check(accounts, cluster.emptied, cluster.outages)
             if not wrong or time.monotonic() > deadline:
                 return accounts, wrong
 

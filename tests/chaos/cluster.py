@@ -117,6 +117,7 @@ class ChaosCluster(PrivateCluster):
         self.violations = []  # seen meanwhile
         self.disks = {}  # by gateway, the folder that is a disk of its own
         self.emptied = []  # when the broker lost its data
+        self.outages = []  # when the broker was killed, and when it was started again
         self.deceived = deceived
 
     # -- start
@@ -311,6 +312,12 @@ metrics: {{address: "127.0.0.1:{self.metrics[name]}"}}"""
 
     def thaw(self, target):
         signal_all(self.frozen.pop(target, []), signal.SIGCONT)
+
+    def broker_was_killed(self):
+        self.outages.append((time.monotonic(), float("inf")))
+
+    def broker_is_started(self):
+        self.outages[-1] = (self.outages[-1][0], time.monotonic())
 
     def clear_data(self, server):
         """Removes the data of a server that is down."""

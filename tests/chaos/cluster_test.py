@@ -49,6 +49,20 @@ class AnEndedCluster(InAFolder):
         self.assertEqual([entry.name for entry in disk.parent.iterdir()], ["gateway-1"])
 
 
+class ABroker(InAFolder):
+    def test_was_away_from_when_it_was_killed_until_it_was_started_again_each_time(self):
+        plugins = self.folder / "build/chaos/plugins"
+        plugins.mkdir(parents=True)
+        (plugins / "chaos_ledger_driver.so").touch()
+        one = cluster.ChaosCluster(self.folder / "build", self.folder / "out")
+        moments = iter([1.0, 2.0, 5.0])
+        with mock.patch.object(cluster.time, "monotonic", lambda: next(moments)):
+            one.broker_was_killed()
+            one.broker_is_started()
+            one.broker_was_killed()
+        self.assertEqual(one.outages, [(1.0, 2.0), (5.0, float("inf"))])
+
+
 class Processes(InAFolder):
     def test_of_a_run_are_not_those_of_a_run_whose_name_begins_alike(self):
         with subprocess.Popen([sys.executable, "-c", "input(1)", self.folder / "rabbitmq-70/a.yaml"], stdin=subprocess.PIPE,

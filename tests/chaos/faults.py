@@ -40,6 +40,8 @@ class Faults:
         cluster, kind, target = self.cluster, action.kind, action.target
         if kind in ("kill", "empty", "wipe") and target in SERVERS:
             cluster.scripts[target].say("kill")
+            if target == schedule.BROKER:
+                cluster.scripts[target].say(cluster.broker_was_killed)
             if kind == "empty":
                 cluster.scripts[target].say(lambda: cluster.emptied.append(time.monotonic()))
             if kind != "kill":
@@ -66,6 +68,8 @@ class Faults:
     def end(self, action):
         cluster, kind, target = self.cluster, action.kind, action.target
         if kind in ("kill", "empty", "wipe") and target in SERVERS:
+            if target == schedule.BROKER:
+                cluster.scripts[target].say(cluster.broker_is_started)
             cluster.scripts[target].say("start")
             if kind == "wipe":
                 cluster.scripts[target].say(self.on_empty)

@@ -55,7 +55,8 @@ class Recorder:
             disk.mkdir()
 
     def __getattr__(self, name):
-        if name not in ("kill", "kill_hosts", "bring_back", "freeze", "thaw", "deceive", "clear_data"):
+        if name not in ("kill", "kill_hosts", "bring_back", "freeze", "thaw", "deceive", "clear_data",
+                        "broker_was_killed", "broker_is_started"):
             raise AttributeError(name)
         return lambda *words: self.done.append((name, *words))
 
@@ -66,7 +67,10 @@ def expected(kind, target):
     gateway = target.removeprefix("host:")
     killed = {"kill": [], "empty": [("emptied",), ("clear_data", target)], "wipe": [("clear_data", target), ("on_wiped",)]}
     if kind in killed and server:
-        return [(target, "kill"), *killed[kind]], [(target, "start"), *([("on_empty",)] if kind == "wipe" else [])]
+        is_broker = target == schedule.BROKER
+        return ([(target, "kill"), *([("broker_was_killed",)] if is_broker else []), *killed[kind]],
+                [*([("broker_is_started",)] if is_broker else []), (target, "start"),
+                 *([("on_empty",)] if kind == "wipe" else [])])
     if kind == "kill":
         return ([("kill_hosts", gateway)], []) if gateway != target else ([("kill", target)], [("bring_back", target)])
     if kind == "freeze":

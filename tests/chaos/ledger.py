@@ -2,7 +2,8 @@
 and the judgement over them.
 
 The topology sends a command back for each message that its bolt had. Commands are durable, and none may be missing: they
-wait for an instance that is restarted or moves to another host.
+wait for an instance that is restarted or moves to another host. A command that the broker has not confirmed may be given
+up, because its message comes again; that promise ends with the message (never_stored()).
 
 What may be missing follows from what each channel promises:
 - `spooled`: nothing, whatever dies.
@@ -20,6 +21,7 @@ import dataclasses
 from pathlib import Path
 
 SPOOLED, BLOCKED = "spooled", "blocked"
+UNSTORED_S = 5  # a broker that is not killed has stored by then what it has handed on, on a busy machine, too
 
 
 @dataclasses.dataclass
@@ -99,8 +101,9 @@ def account(folder, instance, kind, stays, second_reader=True):
                    read_heard(folder / f"{instance}.heard") if stays else None)
 
 
-def check(accounts, emptied=()):
-    """Sentences about what is wrong; none when all is as promised. `emptied`: when the broker lost its data."""
+def check(accounts, emptied=(), outages=()):
+    """Sentences about what is wrong; none when all is as promised. `emptied`: when the broker lost its data; `outages`: when
+    it was killed, and when it was started again."""
     wrong = []
     for one in accounts:
         who = f"{one.kind} {one.instance[:8]}"
@@ -111,26 +114,48 @@ def check(accounts, emptied=()):
             found = missing(one, copies, lost_spans(one, copies, emptied)) + foreign(one, copies) + \
                 out_of_order(one, copies) + unmarked(copies)
             wrong += [f"{who}, {where}: {text}" for text in found]
-        wrong += [f"{who}, commands: {text}" for text in of_commands(one, emptied)]
+        wrong += [f"{who}, commands: {text}" for text in of_commands(one, emptied, outages)]
     return wrong
 
 
-def commands(one):
+def commands(one, outages=()):
     """The commands that the topology sent to the instance, as one run that accepted them when its bolt had the message for
-    the first time, and the copies that came back to the driver."""
-    numbers, sent = {}, []
+    the first time, and the copies that came back to the driver. Those that may be lost with their messages are left out."""
+    numbers, sent, lost = {}, [], never_stored(one, outages)
     for copy in one.came:
-        if (copy.run, copy.number) not in numbers:
+        if (copy.run, copy.number) not in numbers and (copy.run, copy.number) not in lost:
             sent.append(copy.time)
             numbers[copy.run, copy.number] = len(sent)
     heard = [Copy("1", numbers.get((copy.run, copy.number), 0), copy.time) for copy in one.heard]
     return Account(one.instance, SPOOLED, [Run("1", 0.0, sent=sent)], heard)
 
 
-def of_commands(one, emptied):
+def never_stored(one, outages):
+    """Messages, as (run, number), that a broker may have lost which was killed, although the topology had had them and no
+    command of them came back. A broker hands a message on before it has stored it, and confirms it afterwards; who sends it
+    sends it again until then. So it is lost only if its run, of a blocked channel, ended before it reached the broker that
+    was started again: then no message of the run came any more but older ones, which the broker had stored."""
+    lost = set()
+    for run in one.runs:
+        if one.kind != BLOCKED or not ended(one, run):
+            continue
+        first, last = {}, {}
+        for copy in one.came:
+            if copy.run == run.name:
+                first.setdefault(copy.number, copy.time)
+                last[copy.number] = copy.time
+        answered = max((copy.number for copy in one.heard if copy.run == run.name), default=0)
+        for killed, started in outages:
+            stored = max((number for number, moment in last.items() if moment >= started), default=0)
+            lost |= {(run.name, number) for number, moment in first.items()
+                     if number > max(stored, answered) and moment > killed - UNSTORED_S}
+    return lost
+
+
+def of_commands(one, emptied, outages):
     if one.heard is None:
         return []
-    sent = commands(one)
+    sent = commands(one, outages)
     found = missing(sent, sent.came, lost_spans(sent, sent.came, emptied))
     found = [text.replace("accepted messages of run 1", "commands") for text in found] + foreign(sent, sent.came)
     # Each worker sends in order. When an instance moves to another worker while no broker takes commands, both have some.
@@ -205,10 +230,15 @@ def mark_killed(accounts, living):
         run.killed = run.end is None and run.name.split(".")[0] not in living
 
 
+def ended(one, run):
+    """Whether the run was closed or killed."""
+    return run.end is not None or run.killed or run is not one.runs[-1]
+
+
 def missing(one, copies, spans):
     wrong = []
     for run, gone in zip(one.runs, absent(one, copies, spans).values()):
-        if one.kind == BLOCKED and (run.end is not None or run.killed or run is not one.runs[-1]):
+        if one.kind == BLOCKED and ended(one, run):
             newest = max((copy.number for copy in copies if copy.run == run.name), default=0)
             gone = [number for number in gone if number < newest]
         if gone:

@@ -203,6 +203,33 @@ class LedgerTest(unittest.TestCase):
         self.assert_wrong(check([one]), "2 of 5 commands never came: 3-4")
         self.assertEqual(check([one], emptied=[4.4]), [])
 
+    def killed_with_the_broker(self, kind=BLOCKED, came=(), heard=(), outages=((5.6, 9.0),), lives=False):
+        """The judgement over an instance whose run accepted 5 messages, of which the topology had all before the broker was
+        killed; after that it had `came`. The broker had stored the first 4. The driver heard the commands 1 to 4, and
+        `heard`. Unless it lives, the run was killed before it reached the broker again, and the next one sent a message."""
+        runs = [run(count=5)] + ([] if lives else [run("2.1", 20, 1)])
+        later = [] if lives else copies(1, name="2.1", begin=20)
+        one = account(kind, runs, copies(1, 2, 3, 4, 5) + copies(4, *came, begin=10, marked=True) + later,
+                      heard=copies(1, 2, 3, 4, begin=0.2) + copies(4, *heard, begin=10.2) + later)
+        return ledger.check([one], outages=outages)
+
+    def test_a_command_may_be_lost_with_its_message_that_a_killed_broker_had_not_stored_and_whose_sender_was_killed_too(self):
+        self.assertEqual(self.killed_with_the_broker(), [])
+        self.assertEqual(self.killed_with_the_broker(outages=[(5.4, 9.0)]), [])  # it was on its way when the broker was killed
+
+    def test_a_command_may_not_be_lost_whose_message_comes_again_or_was_stored(self):
+        lost = "commands: 1 of 6 commands never came: 5;"
+        self.assert_wrong(self.killed_with_the_broker(outages=()), lost)
+        self.assert_wrong(self.killed_with_the_broker(came=[5]), lost)
+        self.assert_wrong(self.killed_with_the_broker(kind=SPOOLED), lost)
+        self.assert_wrong(self.killed_with_the_broker(outages=[(5.6 + ledger.UNSTORED_S, 20.0)]), lost)
+        self.assert_wrong(self.killed_with_the_broker(outages=[(5.2, 5.4)]), lost)  # it came after that
+        self.assert_wrong(self.killed_with_the_broker(lives=True), "commands: 1 of 5 commands never came: 5;")
+
+    def test_a_command_may_not_be_lost_behind_which_another_one_of_its_run_came(self):
+        one = account(BLOCKED, [run(), run("2.1", 20, 0)], copies(1, 2, 3, 4, 5), heard=copies(1, 2, 3, 5, begin=0.2))
+        self.assert_wrong(ledger.check([one], outages=[(5.6, 9.0)]), "commands: 1 of 5 commands never came: 4;")
+
     def test_numbers_are_told_shortly(self):
         self.assertEqual(ledger.ranges([1, 2, 3, 7, 9, 10]), "1-3, 7, 9-10")
         self.assertEqual(ledger.ranges(range(1, 20, 2)), "1, 3, 5, 7, 9 and 5 more")
