@@ -89,10 +89,11 @@ class Answers final : public OutputCollector {
  public:
   void ack(const Tuple& tuple) override { acked.push_back(tuple.source_task()); }
   void fail(const Tuple& tuple) override { failed.push_back(tuple.source_task()); }
+  void retry(const Tuple& tuple) override { retried.push_back(tuple.source_task()); }
   void reset_timeout(const Tuple& tuple) override { reset.push_back(tuple.source_task()); }
   void report_error(const std::string&) override {}
 
-  std::vector<int> acked, failed, reset;
+  std::vector<int> acked, failed, retried, reset;
 
  private:
   void do_emit(std::string_view, std::span<const Tuple>, Values&&, int) override {}
@@ -105,8 +106,8 @@ class SentTuples : public testing::Test {
   };
 
   void open(AckWhen ack_when = AckWhen::confirmed) {
-    sender_ = ChannelSender::open(std::make_shared<ScriptedBroker>(script_), {"", "t", false}, {}, ack_when, meters_,
-                                  std::make_shared<StandstillFence>());
+    sender_ =
+        ChannelSender::open(std::make_shared<ScriptedBroker>(script_), {"", "t", false}, {}, ack_when, meters_, fence_);
   }
   void TearDown() override {
     if (sender_) sender_->close();
@@ -116,6 +117,7 @@ class SentTuples : public testing::Test {
     auto& data = data_.emplace_back();
     data.handles = 1;  // the test's own: the deque keeps it
     data.source_task = number;
+    data.born_ns = born_ns;
     if (tracked) data.tree = reinterpret_cast<internal::Tree*>(&data);  // only compared with null
     return Tuple(&data);
   }
@@ -139,7 +141,9 @@ class SentTuples : public testing::Test {
     return 0;
   }
 
+  static constexpr std::int64_t born_ns = 1;  // before any fence
   config::Metrics metrics_;
+  const std::shared_ptr<StandstillFence> fence_ = std::make_shared<StandstillFence>();
   std::shared_ptr<SenderMeters> meters_ = std::make_shared<SenderMeters>(metrics_, config::Labels{});
   Script script_;
   std::deque<Data> data_;
@@ -167,38 +171,57 @@ TEST_F(SentTuples, FailWhenTheBrokerRefusesThem) {
   script_.outcome(1, Outcome::refused, "too large");
   script_.outcome(2, Outcome::confirmed);
   EXPECT_THAT(answers_.failed, ElementsAre(1));
+  EXPECT_THAT(answers_.retried, IsEmpty());
   EXPECT_THAT(answers_.acked, ElementsAre(2));
   EXPECT_EQ(lost("refused"), 1);
 }
 
-TEST_F(SentTuples, FailWhenTheChannelGoesBeforeTheBrokerHasAnswered) {
+TEST_F(SentTuples, AreTriedAgainWithoutBlameWhenTheChannelGoesBeforeTheBrokerHasAnswered) {
   open();
   send(1);
   script_.full = true;
   send(2);  // held back
   sender_->close();
-  EXPECT_THAT(answers_.failed, testing::UnorderedElementsAre(1, 2));
-  EXPECT_THAT(answers_.acked, IsEmpty());
+  EXPECT_THAT(answers_.retried, testing::UnorderedElementsAre(1, 2));
   EXPECT_EQ(lost("unknown"), 1);
   EXPECT_EQ(lost("closed"), 1);
   send(3);
-  EXPECT_THAT(answers_.failed, testing::Contains(3));
+  EXPECT_THAT(answers_.retried, testing::Contains(3));
+  EXPECT_THAT(answers_.failed, IsEmpty());
+  EXPECT_THAT(answers_.acked, IsEmpty());
 }
 
-TEST_F(SentTuples, FailWhenTheChannelGoesWhileTheyAreBeingSent) {
+TEST_F(SentTuples, AreTriedAgainWithoutBlameWhenTheFenceVoidsThem) {
+  open();
+  send(1);
+  script_.outcome(1, Outcome::dropped, "fenced");
+  EXPECT_THAT(answers_.retried, ElementsAre(1));
+  script_.full = true;
+  send(2);
+  fence_->raise();
+  script_.full = false;
+  script_.options.on_writable();
+  EXPECT_THAT(answers_.retried, ElementsAre(1, 2));
+  EXPECT_THAT(answers_.failed, IsEmpty());
+  EXPECT_EQ(lost("fenced"), 2);
+}
+
+TEST_F(SentTuples, AreTriedAgainWithoutBlameWhenTheChannelGoesWhileTheyAreBeingSent) {
   open();
   script_.during_publish = [&] { std::thread([&] { sender_->close(); }).join(); };
   send(1);
-  EXPECT_THAT(answers_.failed, ElementsAre(1));
+  EXPECT_THAT(answers_.retried, ElementsAre(1));
+  EXPECT_THAT(answers_.failed, IsEmpty());
   EXPECT_EQ(script_.alive, 0);
 }
 
-TEST_F(SentTuples, FailWhenTheChannelGoesWhileItsPublisherSaysThatItIsFull) {
+TEST_F(SentTuples, AreTriedAgainWithoutBlameWhenTheChannelGoesWhileItsPublisherSaysThatItIsFull) {
   open();
   script_.full = true;
   script_.when_full = [&] { std::thread([&] { sender_->close(); }).join(); };
   send(1);
-  EXPECT_THAT(answers_.failed, ElementsAre(1));
+  EXPECT_THAT(answers_.retried, ElementsAre(1));
+  EXPECT_THAT(answers_.failed, IsEmpty());
   EXPECT_EQ(lost("closed"), 1);
   EXPECT_EQ(kept(), 0U);
 }
@@ -277,6 +300,7 @@ TEST_F(SentTuples, AreForgottenWithTheirTask) {
   sender_->close();
   EXPECT_THAT(answers_.acked, IsEmpty());
   EXPECT_THAT(answers_.failed, IsEmpty());
+  EXPECT_THAT(answers_.retried, IsEmpty());
 }
 
 }  // namespace

@@ -264,6 +264,26 @@ TEST_P(Commands, ThatTheBrokerHasNotConfirmedAreMadeAgainFromTheSpoutsMessageWhe
   EXPECT_EQ(mailbox.texts().at(0), "command");
 }
 
+/// Nobody reads the driver's channel meanwhile, as above.
+TEST_P(Commands, OfADriverThatIsStartedAnewMoreOftenThanAMessageIsTriedAreNotGivenUp) {
+  constexpr int starts = 3;
+  const std::string driver = unique("one");
+  run_picky("{maxTries: 2}");
+  show_driver(driver);
+  const auto publisher = device(driver);
+  publisher->publish(message("command", driver));
+  for (int start = 1; start <= starts; ++start) {
+    ASSERT_TRUE(eventually([&] { return metric("iotcloud_bolt_sent_total") == start; })) << start;
+    show_driver(driver, "rabbitmq", discovery::DriverState::starting);
+    ASSERT_TRUE(eventually([&] { return metric("iotcloud_bolt_lost_total") == start; })) << start;
+    show_driver(driver);
+  }
+  Mailbox mailbox(*broker_, topic(driver, "down"));
+  ASSERT_TRUE(mailbox.wait_for(1));
+  EXPECT_EQ(mailbox.texts().at(0), "command");
+  EXPECT_EQ(metric("iotcloud_spout_rejected_total"), 0);
+}
+
 TEST_P(Commands, ThatTheBrokerHasConfirmedSettleTheSpoutsMessages) {
   const std::string driver = unique("one");
   Mailbox mailbox(*broker_, topic(driver, "down"));

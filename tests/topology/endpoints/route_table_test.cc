@@ -33,12 +33,13 @@ using namespace std::chrono_literals;
 /// Writes down what becomes of tuples, by their source_task(). Thread safe.
 class Verdict final : public OutputCollector {
  public:
-  enum class Answer { none, acked, failed };
+  enum class Answer { none, acked, failed, retried };
   void ack(const Tuple& tuple) override {
     set(tuple, Answer::acked);
     if (const auto call = std::exchange(on_next_ack, nullptr)) call();
   }
   void fail(const Tuple& tuple) override { set(tuple, Answer::failed); }
+  void retry(const Tuple& tuple) override { set(tuple, Answer::retried); }
   void reset_timeout(const Tuple& tuple) override {
     const std::lock_guard lock(mutex_);
     ++resets_[tuple.source_task()];
@@ -414,9 +415,9 @@ TEST_F(Routes, OfAnInstanceThatStartsLeaveItsTuplesToTheNextWorkerWhenThisOneSto
   const int number = send("a");
   const double unknown = metric("iotcloud_bolt_unknown_driver_total");
   table_->end_grace();
-  EXPECT_EQ(answers_.of(number), Answer::failed);
+  EXPECT_EQ(answers_.of(number), Answer::retried);
   EXPECT_EQ(lost("closed"), 2);
-  EXPECT_EQ(answers_.of(send("a")), Answer::failed) << "one that comes later, too";
+  EXPECT_EQ(answers_.of(send("a")), Answer::retried) << "one that comes later, too";
   EXPECT_EQ(lost("closed"), 3);
   EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
 }

@@ -6,10 +6,21 @@ namespace iotcloud::topology {
 
 namespace {
 
-/// Whether the tuple is acked: the broker confirmed the message, or the channel's policy dropped it. A fenced message
-/// must fail, because another worker may have it by now.
-bool succeeded(brokers::Outcome outcome, const std::string& reason) {
-  return outcome == brokers::Outcome::confirmed || (outcome == brokers::Outcome::dropped && reason != "fenced");
+/// The answer for a tuple by what became of its message. It is acked if the broker confirmed the message, or the
+/// channel's policy dropped it. A fenced message must not be: another worker may have it by now.
+ChannelSender::Answer answer_to(brokers::Outcome outcome, const std::string& reason) {
+  using Answer = ChannelSender::Answer;
+  switch (outcome) {
+    case brokers::Outcome::confirmed:
+      return Answer::ack;
+    case brokers::Outcome::refused:
+      return Answer::fail;
+    case brokers::Outcome::dropped:
+      return reason == "fenced" ? Answer::retry : Answer::ack;
+    case brokers::Outcome::unknown:
+      break;
+  }
+  return Answer::retry;
 }
 
 }  // namespace
@@ -33,7 +44,7 @@ std::shared_ptr<ChannelSender> ChannelSender::open(std::shared_ptr<brokers::Brok
                    : outcome == brokers::Outcome::unknown ? "unknown"
                                                           : reason);
     }
-    if (const auto self = weak.lock()) self->on_outcome(number, succeeded(outcome, reason));
+    if (const auto self = weak.lock()) self->on_outcome(number, answer_to(outcome, reason));
   };
   options.on_writable = [weak = std::weak_ptr(sender)] {
     if (const auto self = weak.lock()) self->on_writable();
@@ -52,7 +63,7 @@ void ChannelSender::send(brokers::Message message, const Tuple& tuple, OutputCol
     const bool closed = !publisher_;
     lock.unlock();
     meters_->lost(closed ? "closed" : "held_back");
-    collector.fail(tuple);
+    collector.retry(tuple);
     return;
   }
   held_.push_back({std::move(message), tuple, &collector, age});
@@ -82,7 +93,7 @@ void ChannelSender::pump() {
         if (!awaited) held.collector->ack(held.tuple);
       } else if (published == brokers::PublishStatus::closed) {
         meters_->lost(is_void ? "fenced" : "closed");
-        held.collector->fail(held.tuple);
+        held.collector->retry(held.tuple);
       }
       // If close() ran meanwhile, this is the last reference, whose destructor reports outcomes: on_outcome() takes the
       // lock.
@@ -94,11 +105,11 @@ void ChannelSender::pump() {
       under_way_.pop_back();
     }
     const bool waits = published == brokers::PublishStatus::would_block;
-    const bool too_late = waits && !publisher_;  // close() has failed what was held back, and did not see this one
+    const bool too_late = waits && !publisher_;  // close() has answered what was held back, and did not see this one
     if (too_late) {
       const config::Unlocked unlocked(mutex_);
       meters_->lost("closed");
-      held.collector->fail(held.tuple);
+      held.collector->retry(held.tuple);
     }
     sending_ = nullptr;
     sent_.notify_all();
@@ -118,7 +129,7 @@ bool ChannelSender::is_void(const Tuple& tuple) const {
   return born != 0 && fence_->voids(StandstillFence::Instant(std::chrono::nanoseconds(born)));
 }
 
-void ChannelSender::on_outcome(std::uint64_t number, bool succeeded) {
+void ChannelSender::on_outcome(std::uint64_t number, Answer answer) {
   Tuple tuple;
   OutputCollector* collector = nullptr;
   {
@@ -132,10 +143,16 @@ void ChannelSender::on_outcome(std::uint64_t number, bool succeeded) {
     if (collector == nullptr) return;
     answering_.push_back(collector);
   }
-  if (succeeded) {
-    collector->ack(tuple);
-  } else {
-    collector->fail(tuple);
+  switch (answer) {
+    case Answer::ack:
+      collector->ack(tuple);
+      break;
+    case Answer::fail:
+      collector->fail(tuple);
+      break;
+    case Answer::retry:
+      collector->retry(tuple);
+      break;
   }
   const config::MutexLock lock(mutex_);
   answering_.erase(std::find(answering_.begin(), answering_.end(), collector));
@@ -190,7 +207,7 @@ void ChannelSender::close() {
   publisher.reset();
   for (const auto& one : held) {
     meters_->lost("closed");
-    one.collector->fail(one.tuple);
+    one.collector->retry(one.tuple);
   }
 }
 

@@ -18,7 +18,7 @@ constexpr std::size_t most_departed = 10'000;
 /// The worker stops: the next one gets the message of a tuple that would wait.
 void leave_to_the_next(SenderMeters& meters, const Tuple& tuple, OutputCollector& collector) {
   meters.lost("closed");
-  collector.fail(tuple);
+  collector.retry(tuple);
 }
 
 }  // namespace
