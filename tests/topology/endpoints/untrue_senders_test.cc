@@ -241,7 +241,8 @@ class WaitingSenders : public testing::Test {
   std::string refusal_of_next() { return filter_.next(now_).refusal; }
 
   config::Metrics metrics_;
-  const std::shared_ptr<KnownInstances> known_ = std::make_shared<KnownInstances>();
+  bool away_ = false;  ///< the registry
+  const std::shared_ptr<KnownInstances> known_ = std::make_shared<KnownInstances>([this] { return !away_; });
   SenderFilter filter_{known_, false, metrics_, {}};
   std::shared_ptr<TopicReader> reader_;
   config::Clock::Instant now_{1h};
@@ -278,6 +279,39 @@ TEST_F(WaitingSenders, DoNotWaitForEver) {
     now_ += 1s;
   }
   EXPECT_NE(refusal_of_next(), "");
+}
+
+TEST_F(WaitingSenders, WaitAsLongAsTheRegistryIsAwayAndThenAMoment) {
+  EXPECT_TRUE(waits("nobody"));
+  now_ += SenderFilter::grace;
+  EXPECT_NE(refusal_of_next(), "");
+  away_ = true;
+  EXPECT_TRUE(waits("nobody")) << "it may have been deployed since";
+  EXPECT_TRUE(waits("new"));
+  for (int minute = 0; minute < 60; ++minute) {
+    now_ += 1min;
+    EXPECT_FALSE(filter_.next(now_).arrival) << minute;
+  }
+  away_ = false;
+  known_->told("new"_instance, "gateway-1"_gateway, true);
+  const auto passed = filter_.next(now_);
+  ASSERT_TRUE(passed.arrival);
+  EXPECT_EQ(passed.arrival->delivery.message.driver_id, "new");
+  EXPECT_EQ(passed.refusal, "");
+  now_ += SenderFilter::grace - 1ms;
+  EXPECT_FALSE(filter_.next(now_).arrival);
+  now_ += 1ms;
+  EXPECT_THAT(refusal_of_next(), HasSubstr("\"nobody\""));
+}
+
+TEST_F(WaitingSenders, DoNotKeepTheSpoutFromReadingWhenManyCameWhileTheRegistryIsAway) {
+  away_ = true;
+  for (std::size_t i = 0; i < SenderFilter::most_waiting; ++i) EXPECT_TRUE(waits("nobody" + std::to_string(i)));
+  EXPECT_TRUE(filter_.full());
+  now_ += SenderFilter::grace;
+  for (std::size_t i = 0; i < SenderFilter::most_waiting; ++i) ASSERT_NE(refusal_of_next(), "") << i;
+  EXPECT_TRUE(filter_.empty());
+  EXPECT_NE(pass("nobody0").refusal, "");
 }
 
 TEST_F(WaitingSenders, DoNotWaitEachWhenOneHasWaitedInVain) {

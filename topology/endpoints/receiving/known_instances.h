@@ -4,8 +4,10 @@
 #include <cstddef>
 #include <cstdint>
 #include <deque>
+#include <functional>
 #include <string_view>
 #include <unordered_map>
+#include <utility>
 
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/discovery/ids.h>
@@ -24,6 +26,9 @@ class KnownInstances {
     chosen,
   };
 
+  /// \param registry_tells whether the registry can be heard now; called on any thread. Empty: always.
+  explicit KnownInstances(std::function<bool()> registry_tells = {}) : registry_tells_(std::move(registry_tells)) {}
+
   /// The registry tells what the instance's record says now. \param gateway empty: the record does not say
   void told(const discovery::InstanceId& instance, const discovery::GatewayId& gateway, bool chosen);
   /// The instance's record is gone. What was told last is kept for messages that it sent before.
@@ -34,6 +39,8 @@ class KnownInstances {
   bool may_be_chosen(const discovery::InstanceId& instance) const;
   /// How many instances the registry has told of for the first time. While this grows, more may follow.
   std::uint64_t news() const { return news_.load(std::memory_order_relaxed); }
+  /// Whether the registry can be heard now. While it cannot, an instance that is unknown may be there all the same.
+  bool registry_tells() const { return !registry_tells_ || registry_tells_(); }
 
   /// How many instances that are gone are remembered.
   static constexpr std::size_t most_departed = 10'000;
@@ -44,6 +51,7 @@ class KnownInstances {
     bool chosen = false;
     bool departed = false;
   };
+  const std::function<bool()> registry_tells_;
   mutable config::SharedMutex mutex_;
   std::unordered_map<discovery::InstanceId, Known, std::hash<discovery::InstanceId>, std::equal_to<>> known_
       IOTCLOUD_GUARDED_BY(mutex_);

@@ -68,6 +68,7 @@ SenderFilter::Passed SenderFilter::pass(ChannelMessage arrival, Instant now) {
 SenderFilter::Passed SenderFilter::next(Instant now) {
   const auto news = known_->news();
   if (std::exchange(news_, news) != news) last_news_ = now;
+  if (registry_keeps_silent()) last_silence_ = now;
   for (auto line = waiting_.begin(); line != waiting_.end();) {
     const auto& [instance, gateway] = line->first;
     const Standing standing = known_->of(instance.str(), gateway);
@@ -133,7 +134,7 @@ SenderFilter::Passed SenderFilter::refuse(ChannelMessage arrival, config::Counte
 /// Whether a message of this line has waited in vain not long ago.
 bool SenderFilter::is_nobody(const Line& line, Instant now) {
   const auto nobody = nobodies_.find(line);
-  if (nobody == nobodies_.end()) return false;
+  if (nobody == nobodies_.end() || registry_keeps_silent()) return false;
   if (now < nobody->second) return true;
   nobodies_.erase(nobody);
   return false;
@@ -141,7 +142,19 @@ bool SenderFilter::is_nobody(const Line& line, Instant now) {
 
 /// Until when a message waits that came at `since`.
 SenderFilter::Instant SenderFilter::end_of_wait(Instant since) const {
-  return std::min(std::max(since, last_news_.value_or(since)) + grace, since + longest_wait);
+  const Instant begin = std::max(since, last_silence_.value_or(since));
+  return std::min(std::max(begin, last_news_.value_or(begin)) + grace, begin + longest_wait);
+}
+
+/// Whether the registry is away and messages wait for it. When there is no more room for them they do not, until it has
+/// been back, or the messages of nobody would keep the spout from reading those of others.
+bool SenderFilter::registry_keeps_silent() {
+  if (known_->registry_tells()) {
+    overrun_ = false;
+    return false;
+  }
+  overrun_ = overrun_ || full();
+  return !overrun_;
 }
 
 void SenderFilter::clear() {

@@ -25,7 +25,8 @@ namespace iotcloud::topology {
 /// does not choose is accepted, counted and dropped. The others pass, with the true ids of instance and gateway.
 ///
 /// A driver's first message may arrive before the registry has told of the driver: that message and those behind it
-/// wait for `grace`. Belongs to one spout task; not thread safe.
+/// wait for `grace`, and while the registry is away as long as there is room for those that wait. Belongs to one spout
+/// task; not thread safe.
 class SenderFilter {
  public:
   /// What became of a message. Neither: it was dropped, or waits.
@@ -47,8 +48,9 @@ class SenderFilter {
   /// Gives the messages that wait back to the broker.
   void clear();
 
-  /// How long a message waits for the registry to tell of its driver. While the registry tells of other drivers for the
-  /// first time, as when the worker starts, the time does not run, but for `longest_wait` in all.
+  /// How long a message waits for the registry to tell of its driver. The time does not run while the registry is away.
+  /// Nor does it while the registry tells of other drivers for the first time, as when the worker starts, but for
+  /// `longest_wait` in all.
   static constexpr std::chrono::seconds grace{2}, longest_wait{30};
   static constexpr std::size_t most_waiting = 1024;  ///< messages, of all drivers
   /// How often the spout should call next() while messages wait.
@@ -70,6 +72,7 @@ class SenderFilter {
   Passed refuse(ChannelMessage arrival, config::Counter& count, const std::string& why);
   bool is_nobody(const Line& line, Instant now);
   Instant end_of_wait(Instant since) const;
+  bool registry_keeps_silent();
 
   const std::shared_ptr<const KnownInstances> known_;
   const bool chooses_;
@@ -79,9 +82,11 @@ class SenderFilter {
   config::Counter& unknown_instance_;
   std::map<Line, std::deque<Waiting>> waiting_;  ///< no queue is empty
   std::size_t waiting_count_ = 0;
-  std::map<Line, Instant> nobodies_;  ///< until when messages do not wait
-  std::uint64_t news_ = 0;            ///< KnownInstances::news() when it was looked at last
-  std::optional<Instant> last_news_;  ///< when it was seen to have grown
+  std::map<Line, Instant> nobodies_;     ///< until when messages do not wait
+  std::uint64_t news_ = 0;               ///< KnownInstances::news() when it was looked at last
+  std::optional<Instant> last_news_;     ///< when it was seen to have grown
+  std::optional<Instant> last_silence_;  ///< when the registry was seen to be away
+  bool overrun_ = false;  ///< so many messages came since the registry went away that they do not wait for it
 };
 
 }  // namespace iotcloud::topology

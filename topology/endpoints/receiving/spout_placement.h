@@ -140,7 +140,8 @@ class SpoutPlacement {
   const std::string component_;
   const EndpointDefinition endpoint_;
   const std::shared_ptr<Arrivals> arrivals_ = std::make_shared<Arrivals>();
-  const std::shared_ptr<KnownInstances> known_instances_ = std::make_shared<KnownInstances>();
+  const std::shared_ptr<KnownInstances> known_instances_ = std::make_shared<KnownInstances>(
+      [services = services_] { return services->registry->session() == discovery::SessionState::connected; });
 
   std::string path_;  ///< readers_path(); set by the last join()
 
