@@ -88,7 +88,8 @@ class OrderFeed {
   std::string frozen() const;
   /// Which order is refused, and why, in one line; empty: none is. Thread safe.
   std::string refused() const;
-  /// Reads refused orders again, because other keys are trusted now.
+  /// Reads refused orders again, because other keys are trusted now. While an order is refused the feed looks for that
+  /// itself, too.
   void read_refused_again();
 
  private:
@@ -128,6 +129,9 @@ class OrderFeed {
   FollowedOrder followed(const discovery::InstanceId& instance, std::int64_t given_ms) const;
   void follow_due();
   void read_refused_later();
+  void note_keys();
+  void watch_keys();
+  void look_at_keys_later();
   Instances without_removal(const Instances& names);
   struct Removal {
     std::int64_t given_ms = 0;
@@ -178,6 +182,9 @@ class OrderFeed {
   config::Clock::Instant last_gone_{};                            ///< when the last one of them went
   bool reads_again_ = false;                                      ///< a timer is set
   bool reads_refused_ = false;                                    ///< a timer is set
+  bool watches_keys_ = false;                                     ///< a timer is set
+  std::uint64_t judged_by_ = 0;   ///< TrustedKeys::generation() before the last orders were judged
+  std::uint64_t refused_by_ = 0;  ///< the same of the first one that was refused since the keys changed
   bool told_first_ = false;
   bool stopped_ = false;
   bool retrying_ = false;

@@ -1,12 +1,15 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <string>
 #include <string_view>
-#include <utility>
 #include <vector>
 
+#include <iotcloud/config/clock.h>
+#include <iotcloud/config/file_stamp.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/security/ed25519.h>
 
@@ -16,9 +19,13 @@ class YamlSection;
 
 namespace iotcloud::security {
 
-/// The keys of those who may sign plugins that run here. Thread safe.
+/// The keys of those who may sign plugins that run here, or orders. What was changed is read again by itself: what is
+/// asked `look_period` later gets the answer of the new keys. Keys whose file is gone are no longer trusted, new ones
+/// are. What cannot be read is logged, and keeps the keys trusted that were so before and still have a file. Running
+/// plugins go on. Thread safe.
 class TrustedKeys {
  public:
+  static constexpr std::chrono::milliseconds look_period{250};
   struct Options {
     bool require_signature = false;
     /// Files with a public Ed25519 key in PEM, or folders of which every file that ends in .pub or .pem is one.
@@ -26,14 +33,15 @@ class TrustedKeys {
   };
   /// Trusts no key, and requires no signature.
   TrustedKeys() = default;
+  /// \param clock must outlive the keys
   /// \throws config::Error for a key that cannot be read or that every user may write, and if signatures are required
   /// but no key is trusted.
-  explicit TrustedKeys(const Options& options);
+  explicit TrustedKeys(const Options& options, const config::Clock& clock = config::system_clock());
 
-  /// Reads the keys again: removed keys are no longer trusted, new ones are. Running plugins go on.
-  /// \throws config::Error for a key that cannot be read or that every user may write; then nothing changes.
+  /// Reads the keys now. \throws config::Error for a key that cannot be read or that every user may write; then only
+  /// the keys whose file is gone are no longer trusted.
   void reload();
-  /// A number that changes with each reload(), after which an earlier result of admit() may be out of date.
+  /// A number that changes when other keys are trusted, so that an earlier result of admit() may be out of date.
   std::uint64_t generation() const;
 
   bool requires_signature() const { return options_.require_signature; }
@@ -44,14 +52,28 @@ class TrustedKeys {
   std::string admit(const std::string& what, std::string_view content, std::string_view signature) const;
 
  private:
-  using Keys = std::vector<std::pair<std::string, PublicKey>>;  ///< by name
+  struct Key {
+    std::string name;
+    PublicKey key;
+    std::string file;
+  };
+  using Keys = std::vector<Key>;                            ///< in the order of Options::trusted_keys
+  using Stamps = std::map<std::string, config::FileStamp>;  ///< of the files and folders
   static Keys read(const std::vector<std::string>& paths);
+  Stamps stamps() const;
+  void look() const;
+  void read_again() const IOTCLOUD_REQUIRES(reading_);
+  void trust(Keys keys) const;
   std::shared_ptr<const Keys> keys() const;
 
   const Options options_{};
+  const config::Clock& clock_ = config::system_clock();
+  mutable config::Mutex reading_;  ///< one reading at a time: the last one that begins is the last one that counts
+  mutable Stamps seen_ IOTCLOUD_GUARDED_BY(reading_);  ///< before the files were read
+  mutable config::Clock::Instant next_look_ IOTCLOUD_GUARDED_BY(reading_){};
   mutable config::Mutex mutex_;
-  std::shared_ptr<const Keys> keys_ IOTCLOUD_GUARDED_BY(mutex_) = std::make_shared<const Keys>();
-  std::uint64_t generation_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  mutable std::shared_ptr<const Keys> keys_ IOTCLOUD_GUARDED_BY(mutex_) = std::make_shared<const Keys>();
+  mutable std::uint64_t generation_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
 };
 
 /// Reads `<prefix>.require_signature` and `<prefix>.trusted_keys` of a daemon's file: who may sign what is sent to it.

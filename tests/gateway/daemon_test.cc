@@ -334,7 +334,7 @@ TEST_F(DaemonTest, OneThatReturnsAfterItWasKilledAndReplacedHasLeftNoInstanceWit
   EXPECT_THAT(lines, testing::ElementsAre(std::to_string(host), std::to_string(another), std::to_string(again)));
 }
 
-TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {
+TEST_F(DaemonTest, TrustedKeysThatComeAndGoCountByThemselves) {
   const auto lab = security::new_key_pair(), anna = security::new_key_pair();
   const auto write = [&](const fs::path& name, const std::string& bytes) {
     std::ofstream(folder_ / name, std::ios::binary) << bytes;
@@ -360,7 +360,6 @@ TEST_F(DaemonTest, TrustedKeysAreReadAgainOnSighup) {
 
   fs::remove(folder_ / "keys/lab.pub");
   write("keys/anna.pub", anna.public_pem);
-  kill(daemon_, SIGHUP);
   int number = 0;
   ASSERT_TRUE(eventually([&] {  // when it has read them
     const auto instance = "c" + std::to_string(++number);

@@ -257,6 +257,35 @@ TEST_F(SignedOrders, TheirRemovalNeedsASignatureToo) {
   EXPECT_FALSE(record("a"));
 }
 
+TEST_F(SignedOrders, AreFollowedSoonAfterTheirMastersKeyHasComeAndNoneOfItSoonAfterItIsGone) {
+  gateway_.reset();
+  const std::filesystem::path keys = folder_ / "keys";
+  std::filesystem::create_directory(keys);
+  std::filesystem::copy_file(master_.public_file(), keys / "master.pub");
+  keys_ = std::make_shared<const security::TrustedKeys>(security::TrustedKeys::Options{true, {keys}});
+  start();
+  const Signer second(folder_ / "", "second");
+  const auto write_signed = [&](const discovery::OrderRecord& order) {
+    write(order.instance, security::sign_object(second.key(), place(order.instance), encode(order)));
+  };
+  auto before = refusals();
+  write_signed(given("a"));
+  ASSERT_TRUE(refuses(before + 1, "the order for a"));
+  std::filesystem::copy_file(second.public_file(), keys / "second.pub");
+  ASSERT_TRUE(comes_to("a", DriverState::active));
+  EXPECT_TRUE(eventually([&] { return gateway_->trouble().empty(); })) << gateway_->trouble();
+
+  const auto trusted = keys_->generation();
+  std::filesystem::remove(keys / "second.pub");
+  ASSERT_TRUE(eventually([&] { return keys_->generation() != trusted; }));
+  before = refusals();
+  auto stop_order = given("a", 10);
+  stop_order.active = false;
+  write_signed(stop_order);
+  EXPECT_TRUE(refuses(before + 1, "the order for a"));
+  EXPECT_EQ(record("a")->state, DriverState::active) << "what runs goes on";
+}
+
 TEST_F(SignedOrders, AMasterMayEndWhatSomebodyElseRemoved) {
   give_signed(given("a"));
   ASSERT_TRUE(comes_to("a", DriverState::active));

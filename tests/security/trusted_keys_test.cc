@@ -1,5 +1,7 @@
 // Whose signatures are trusted.
 #include <iotcloud/security/plugin_signature.h>
+#include <iotcloud/tests/captured_log.h>
+#include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/security/key_folder.h>
 
 namespace iotcloud::security {
@@ -44,30 +46,72 @@ TEST_F(TrustedKeysTest, RequiringSignaturesWithoutTrustingAnybodyIsRefused) {
   EXPECT_THAT(error_of([&] { trusting({}, true); }), HasSubstr("no key is trusted"));
 }
 
-TEST_F(TrustedKeysTest, ReadAgainItTrustsNewKeysAndNotThoseThatAreGone) {
+TEST_F(TrustedKeysTest, KeysThatAreRemovedCountNoLongerSoonAfterAndNewOnesDo) {
   const auto anna = new_key_pair();
   fs::create_directory(folder_ / "keys");
   const auto bens = write("ben.pub", anna.public_pem);
   write("keys/lab.pub", lab_.public_pem);
-  TrustedKeys trust({true, {folder_ / "keys", bens}});
+  tests::HandClock clock;
+  const TrustedKeys trust({true, {folder_ / "keys", bens}}, clock);
   const auto signature = sign(anna.private_pem, "", "abc");
   EXPECT_EQ(trust.signer("abc", signature), "ben");
+  const auto before = trust.generation();
   fs::remove(bens);
   fs::rename(folder_ / "keys/lab.pub", folder_ / "keys/lab.before");
-  EXPECT_EQ(trust.signer("abc", signature), "ben") << "not before it is told so";
-  trust.reload();
+  clock.advance(TrustedKeys::look_period);
   EXPECT_EQ(trust.signer("abc", signature), "");
   EXPECT_THAT(error_of([&] { trust.admit("x.so", "abc", signature_of("abc")); }), HasSubstr("by a key that"));
+  const auto none = trust.generation();
+  EXPECT_NE(none, before) << "earlier results of admit() are out of date";
   write("keys/anna.pub", anna.public_pem);
-  trust.reload();
+  clock.advance(TrustedKeys::look_period);
+  EXPECT_NE(trust.generation(), none);
   EXPECT_EQ(trust.admit("x.so", "abc", signature), "anna");
+  write("keys/anna.pub", lab_.public_pem);  // the folder is the same, the file in it is another one
+  clock.advance(TrustedKeys::look_period);
+  EXPECT_EQ(trust.signer("abc", signature), "");
+  EXPECT_EQ(trust.admit("x.so", "abc", signature_of("abc")), "anna");
 }
 
-TEST_F(TrustedKeysTest, ReadAgainAKeyThatIsNoneChangesNothing) {
-  TrustedKeys trust({true, {folder_ / "lab.pub"}});
+TEST_F(TrustedKeysTest, FilesAreNotLookedAtEachTime) {
+  tests::HandClock clock;
+  TrustedKeys trust({true, {folder_ / "lab.pub"}}, clock);
+  fs::remove(folder_ / "lab.pub");
+  EXPECT_EQ(trust.signer("abc", signature_of("abc")), "lab");
+  trust.reload();
+  EXPECT_EQ(trust.signer("abc", signature_of("abc")), "") << "unless somebody says so";
+}
+
+TEST_F(TrustedKeysTest, AKeyThatIsNoneChangesNothingAndIsSaidOnce) {
+  tests::HandClock clock;
+  TrustedKeys trust({true, {folder_ / "lab.pub"}}, clock);
+  const auto before = trust.generation();
+  const tests::CapturedLog log;
   write("lab.pub", "x");
   EXPECT_THAT(error_of([&] { trust.reload(); }), HasSubstr("lab.pub"));
-  EXPECT_EQ(trust.admit("x.so", "abc", signature_of("abc")), "lab");
+  write("lab.pub", "no key");
+  for (int i = 0; i < 3; ++i) {
+    clock.advance(TrustedKeys::look_period);
+    EXPECT_EQ(trust.admit("x.so", "abc", signature_of("abc")), "lab");
+  }
+  EXPECT_EQ(trust.generation(), before);
+  const auto said = log.text();
+  EXPECT_NE(said.find("lab.pub"), std::string::npos) << said;
+  EXPECT_EQ(said.find("lab.pub"), said.rfind("lab.pub")) << "said once";
+}
+
+TEST_F(TrustedKeysTest, AKeyThatIsNoneKeepsNoRemovedOneTrusted) {
+  const auto anna = new_key_pair();
+  fs::create_directory(folder_ / "keys");
+  write("keys/anna.pub", anna.public_pem);
+  write("keys/lab.pub", lab_.public_pem);
+  tests::HandClock clock;
+  const TrustedKeys trust({true, {folder_ / "keys"}}, clock);
+  write("keys/half.pub", "-----BEGIN PUBLIC");
+  fs::remove(folder_ / "keys/lab.pub");
+  clock.advance(TrustedKeys::look_period);
+  EXPECT_EQ(trust.signer("abc", signature_of("abc")), "");
+  EXPECT_EQ(trust.signer("abc", sign(anna.private_pem, "", "abc")), "anna");
 }
 
 TEST_F(TrustedKeysTest, ASignatureWithAVersionIsOneOfItsLineToo) {

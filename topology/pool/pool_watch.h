@@ -28,7 +28,7 @@ class PoolWatch {
   explicit PoolWatch(Options options);
   ~PoolWatch();
 
-  /// Looks again, because other keys are trusted now.
+  /// Looks again, because other keys are trusted now. While a submission is refused it looks for that itself, too.
   void look_again();
 
  private:

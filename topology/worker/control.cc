@@ -25,6 +25,8 @@ namespace {
 const config::Logger control_logger{"topology.control"};
 /// How often a drain checks whether it is done.
 constexpr milliseconds drain_pause{5};
+/// How often a worker looks, while its order is refused, whether other keys are trusted.
+constexpr milliseconds keys_pause{1000};
 
 std::map<std::string, int> parallelism_of(const Topology& topology) {
   std::map<std::string, int> parallelism;
@@ -103,6 +105,23 @@ void WorkerControl::show_trouble(const std::string& trouble) {
   changed_.notify_all();
 }
 
+/// A signed order waits for the worker's own node, by which the worker learns the registry's time.
+bool WorkerControl::has_news() const {
+  return news_ && (joined_ || !options_.masters);
+}
+
+/// Waits until there is something to do, or to look at.
+void WorkerControl::await_work(const std::stop_token& stop, std::chrono::steady_clock::time_point patience) {
+  const auto due = [this]() IOTCLOUD_REQUIRES(mutex_) { return has_news() || show_due_ || report_due_; };
+  if (!spouts_activated_) {
+    changed_.wait_until(mutex_, stop, patience, due);
+  } else if (refused_by_) {
+    changed_.wait_for(mutex_, stop, keys_pause, due);
+  } else {
+    changed_.wait(mutex_, stop, due);
+  }
+}
+
 void WorkerControl::run(const std::stop_token& stop) {
   const auto patience = std::chrono::steady_clock::now() + options_.patience;
   while (!stop.stop_requested()) {
@@ -111,14 +130,7 @@ void WorkerControl::run(const std::stop_token& stop) {
     bool tell = false;
     {
       const config::MutexLock lock(mutex_);
-      // A signed order waits for the worker's own node, by which the worker learns the registry's time.
-      const auto has_news = [this]() IOTCLOUD_REQUIRES(mutex_) { return news_ && (joined_ || !options_.masters); };
-      const auto due = [&]() IOTCLOUD_REQUIRES(mutex_) { return has_news() || show_due_ || report_due_; };
-      if (spouts_activated_) {
-        changed_.wait(mutex_, stop, due);
-      } else {
-        changed_.wait_until(mutex_, stop, patience, due);
-      }
+      await_work(stop, patience);
       if (has_news()) news = std::exchange(news_, std::nullopt);
       show = std::exchange(show_due_, false);
       tell = std::exchange(report_due_, false);
@@ -132,6 +144,8 @@ void WorkerControl::run(const std::stop_token& stop) {
                             options_.topology.name);
         follow(TopologyOrder{});
         tell = true;
+      } else if (refused_by_ && options_.masters->generation() != *refused_by_) {
+        read_again();
       }
       if (show) show_topology();
       if (news || show || tell) report();
@@ -142,6 +156,8 @@ void WorkerControl::run(const std::stop_token& stop) {
 }
 
 void WorkerControl::follow(const std::optional<Node>& node, const std::stop_token& stop) {
+  refused_by_.reset();
+  const std::uint64_t keys = options_.masters ? options_.masters->generation() : 0;
   TopologyOrder order;
   if (node) {
     try {
@@ -154,7 +170,7 @@ void WorkerControl::follow(const std::optional<Node>& node, const std::stop_toke
       return;
     }
   }
-  if (const std::string why = node ? objection(*node, order) : ""; !why.empty()) return refuse(why);
+  if (const std::string why = node ? objection(*node, order) : ""; !why.empty()) return refuse(why, keys);
   // Without a node, no order that was given before this worker's start counts from now on.
   const std::int64_t start = options_.worker.since_ms - discovery::clocks_differ.count();
   oldest_ = std::max(oldest_, node ? order.given_ms : start);
@@ -241,8 +257,10 @@ bool WorkerControl::written_late(const Node& node, std::int64_t given_ms) {
   return discovery::written_late(node, given_ms + ahead);
 }
 
-/// Refuses an order that no trusted master wrote, or that is an old one that somebody wrote again.
-void WorkerControl::refuse(const std::string& why) {
+/// Refuses an order that no trusted master wrote, or that is an old one that somebody wrote again. \param keys of the
+/// masters, by which that was found: their TrustedKeys::generation()
+void WorkerControl::refuse(const std::string& why, std::uint64_t keys) {
+  refused_by_ = keys;
   if (!spouts_activated_) follow(TopologyOrder{});
   options_.services->metrics
       ->counter("iotcloud_topology_orders_refused_total", "Orders to this topology that no trusted master gave now")

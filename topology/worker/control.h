@@ -52,7 +52,8 @@ class WorkerControl {
   void end();
   /// Removes the worker's record. The last worker also removes the topology's records, except orders.
   void leave();
-  /// Reads the order once more, because other keys are trusted now.
+  /// Reads the order once more, because other keys are trusted now. While it is refused this class looks for that
+  /// itself, too.
   void read_again();
   discovery::WorkerRecord record() const;
   /// Shows in the worker's record what it cannot do now; empty: nothing is known.
@@ -66,7 +67,10 @@ class WorkerControl {
   void stay(const std::string& why);
   std::string objection(const discovery::Node& node, const discovery::TopologyOrder& order);
   bool written_late(const discovery::Node& node, std::int64_t given_ms);
-  void refuse(const std::string& why);
+  void refuse(const std::string& why, std::uint64_t keys);
+  void await_work(const std::stop_token& stop, std::chrono::steady_clock::time_point patience)
+      IOTCLOUD_REQUIRES(mutex_);
+  bool has_news() const IOTCLOUD_REQUIRES(mutex_);
   void be_killed(const discovery::TopologyOrder& order, const std::stop_token& stop);
   std::string drain(std::chrono::milliseconds limit, const std::stop_token& stop);
   void forget_old_kill(const discovery::TopologyOrder& order, std::int64_t version);
@@ -89,6 +93,8 @@ class WorkerControl {
   std::optional<discovery::TopologyKill> killed_by_ IOTCLOUD_GUARDED_BY(mutex_);
 
   bool spouts_activated_ = false;  ///< the spouts were activated; only thread_ uses it
+  /// The order that stands there is refused, by the keys with this TrustedKeys::generation(); only thread_ uses it.
+  std::optional<std::uint64_t> refused_by_;
   /// Signed orders that were given before this (wall time) are not followed; only thread_ uses it.
   std::int64_t oldest_ = std::numeric_limits<std::int64_t>::min();
 

@@ -323,6 +323,30 @@ TEST_F(SignedPoolTest, FollowsOnlyWhatATrustedMasterHasSignedLast) {
   EXPECT_THAT(one->running(), ElementsAre("t/0 v2"));
 }
 
+TEST_F(SignedPoolTest, FollowsASubmissionSoonAfterItsMastersKeyHasComeAndNoneOfItSoonAfterItIsGone) {
+  const std::filesystem::path keys = std::filesystem::path(folder_) / "keys";
+  std::filesystem::create_directory(keys);
+  std::filesystem::copy_file(signer_.public_file(), keys / "master.pub");
+  masters_ = std::make_shared<security::TrustedKeys>(security::TrustedKeys::Options{true, {keys}});
+  const auto one = make("p1", masters_);
+  one->pool->start();
+  const auto is_refused = [&] {
+    return record("p1").trouble.find("no trusted master has signed it") != std::string::npos;
+  };
+  put(signed_by(stranger_, given(1, 0)));
+  ASSERT_TRUE(eventually(is_refused));
+  std::filesystem::copy_file(stranger_.public_file(), keys / "second.pub");
+  ASSERT_TRUE(eventually([&] { return one->running() == std::vector<std::string>{"t/0 v1"}; }));
+  EXPECT_TRUE(eventually([&] { return record("p1").trouble.empty(); })) << record("p1").trouble;
+
+  const auto trusted = masters_->generation();
+  std::filesystem::remove(keys / "second.pub");
+  ASSERT_TRUE(eventually([&] { return masters_->generation() != trusted; }));
+  put(signed_by(stranger_, given(2, 0)));
+  ASSERT_TRUE(eventually(is_refused));
+  EXPECT_THAT(one->running(), ElementsAre("t/0 v1"));
+}
+
 TEST_F(SignedPoolTest, RefusesAnOldSubmissionThatSomebodyWritesOnceMore) {
   const auto one = make("p1", masters_);
   one->pool->start();

@@ -1,4 +1,5 @@
 #include <atomic>
+#include <filesystem>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -412,6 +413,27 @@ TEST_F(SignedTopologyOrders, OfATrustedMasterAreFollowedAndOthersAreRefusedSaidA
   EXPECT_TRUE(says("inactive", 1));
   EXPECT_EQ(told().error, "");
   EXPECT_EQ(refusals(), count);
+}
+
+TEST_F(SignedTopologyOrders, AreFollowedSoonAfterTheirMastersKeyHasComeAndNoneOfItSoonAfterItIsGone) {
+  const std::filesystem::path keys = folder_ / "keys";
+  std::filesystem::create_directory(keys);
+  std::filesystem::copy_file(master_.public_file(), keys / "master.pub");
+  masters_ = std::make_shared<const security::TrustedKeys>(security::TrustedKeys::Options{true, {keys}});
+  start();
+  const security::test::Signer second(folder_ / "", "second");
+  write(signed_by(second, given(1, false)));
+  ASSERT_TRUE(refuses(1, "no trusted master has signed it"));
+  std::filesystem::copy_file(second.public_file(), keys / "second.pub");
+  ASSERT_TRUE(says("inactive", 1));
+  EXPECT_EQ(told().error, "");
+
+  const auto trusted = masters_->generation();
+  std::filesystem::remove(keys / "second.pub");
+  ASSERT_TRUE(eventually([&] { return masters_->generation() != trusted; }));
+  write(signed_by(second, given(2, true)));
+  EXPECT_TRUE(refuses(2, "no trusted master has signed it"));
+  EXPECT_FALSE(runtime_->snapshot().active);
 }
 
 TEST_F(SignedTopologyOrders, ThatWereGivenBeforeTheLastOneAreOutOfDate) {
