@@ -80,7 +80,7 @@ void ThriftConnection::open() {
   processor_ = service_(peer_);
   note_standing(false);
   const config::MutexLock lock(mutex_);
-  certificate_ = stream_.peer_x509();
+  certificate_ = stream_.shown_certificate();
 }
 
 void ThriftConnection::note_standing(bool answering) {
@@ -91,15 +91,15 @@ void ThriftConnection::note_standing(bool answering) {
 }
 
 std::string ThriftConnection::distrust(const security::TlsContext* tls) const {
-  std::shared_ptr<x509_st> certificate;
+  security::ShownCertificate certificate;
   std::function<bool()> is_valid;
   {
     const config::MutexLock lock(mutex_);
     certificate = certificate_;
     is_valid = is_valid_;
   }
-  if (tls != nullptr && certificate) {
-    if (const auto why = tls->distrust(*certificate); !why.empty()) return "its certificate is " + why;
+  if (tls != nullptr) {
+    if (const auto why = tls->distrust(certificate); !why.empty()) return "its certificate is " + why;
   }
   return is_valid && !is_valid() ? "its token was taken away, or has expired" : "";
 }

@@ -8,6 +8,7 @@
 #include <iotcloud/rpc/refusal_log.h>
 #include <iotcloud/rpc/tcp_stream.h>
 #include <iotcloud/rpc/thrift_server.h>
+#include <iotcloud/security/tls.h>
 
 namespace iotcloud::rpc {
 
@@ -64,7 +65,7 @@ class ThriftConnection {
   std::shared_ptr<apache::thrift::TProcessor> processor_;
   mutable config::Mutex mutex_;
   Standing standing_ IOTCLOUD_GUARDED_BY(mutex_);
-  std::shared_ptr<x509_st> certificate_ IOTCLOUD_GUARDED_BY(mutex_);
+  security::ShownCertificate certificate_ IOTCLOUD_GUARDED_BY(mutex_);
   std::function<bool()> is_valid_ IOTCLOUD_GUARDED_BY(mutex_);
   std::atomic<bool> trusted_{false};
   std::atomic<bool> stopping_{false};

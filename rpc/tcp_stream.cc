@@ -264,8 +264,8 @@ void TcpStream::cut_reading() {
   shutdown(descriptor_, SHUT_RD);
 }
 
-std::shared_ptr<x509_st> TcpStream::peer_x509() const {
-  return {tls_ ? SSL_get1_peer_certificate(tls_->ssl) : nullptr, X509_free};
+security::ShownCertificate TcpStream::shown_certificate() const {
+  return tls_ ? security::shown_certificate(tls_->ssl) : security::ShownCertificate{};
 }
 
 std::optional<uid_t> TcpStream::peer_user() const {

@@ -9,11 +9,10 @@
 
 #include <sys/types.h>
 
-struct x509_st;  // OpenSSL's X509
-
 namespace iotcloud::security {
 class TlsContext;
 struct NamedDaemon;
+struct ShownCertificate;
 }  // namespace iotcloud::security
 
 namespace iotcloud::rpc {
@@ -64,8 +63,8 @@ class TcpStream {
   /// Ends all reading; an answer can still be written. Any thread.
   void cut_reading();
 
-  /// The other side's certificate; null if it showed none.
-  std::shared_ptr<x509_st> peer_x509() const;
+  /// The other side's certificate; none without TLS.
+  security::ShownCertificate shown_certificate() const;
   /// As peer_user.h says.
   std::optional<uid_t> peer_user() const;
   std::string peer_address() const;  ///< "192.0.2.7:40112"

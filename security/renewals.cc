@@ -77,8 +77,20 @@ void put_on(X509_CRL* list, X509* certificate) {
   static_cast<void>(revoked.release());  // the list owns it
 }
 
+/// Says whose key signs the list, so that it is told from that of another authority of the same name.
+void name_key(X509_CRL* list, X509* issuer) {
+  if (X509_CRL_get_ext_by_NID(list, NID_authority_key_identifier, -1) >= 0) return;
+  X509V3_CTX context;
+  X509V3_set_ctx_nodb(&context);
+  X509V3_set_ctx(&context, issuer, nullptr, nullptr, list, 0);
+  const std::unique_ptr<X509_EXTENSION, Freed<X509_EXTENSION_free>> key(
+      X509V3_EXT_conf_nid(nullptr, &context, NID_authority_key_identifier, "keyid"));
+  must(key && X509_CRL_add_ext(list, key.get(), -1) == 1, "name the key of a list of revoked certificates");
+}
+
 void sign_and_write(const Authority& authority, X509_CRL* list) {
   const auto issuer = read_certificate(authority.certificate("ca"));
+  name_key(list, issuer.get());
   const auto key = read_key(authority.key("ca"));
   const std::unique_ptr<ASN1_TIME, Freed<ASN1_TIME_free>> time(ASN1_TIME_new());
   must(X509_CRL_set_version(list, X509_CRL_VERSION_2) == 1 &&

@@ -1,9 +1,11 @@
+#include <algorithm>
 #include <array>
 #include <memory>
 
 #include <fmt/format.h>
 #include <openssl/err.h>
 #include <openssl/pem.h>
+#include <openssl/pemerr.h>
 #include <openssl/ssl.h>
 #include <openssl/x509v3.h>
 
@@ -74,6 +76,18 @@ bool has_uri(const X509* certificate, const std::string& uri) {
 std::string peer_subject(const ssl_st* ssl) {
   const HeldCertificate certificate(SSL_get1_peer_certificate(ssl), X509_free);
   return certificate ? subject_of(certificate.get()) : "";
+}
+
+ShownCertificate shown_certificate(const ssl_st* ssl) {
+  ShownCertificate shown;
+  shown.own = {SSL_get1_peer_certificate(ssl), X509_free};
+  if (!shown.own) return shown;
+  if (STACK_OF(X509)* const chain = SSL_get_peer_cert_chain(ssl))
+    shown.between = {X509_chain_up_ref(chain), [](STACK_OF(X509) * all) { sk_X509_pop_free(all, X509_free); }};
+  SSL_CTX* const context = SSL_get_SSL_CTX(ssl);
+  SSL_CTX_up_ref(context);
+  shown.checked_by = {context, SSL_CTX_free};
+  return shown;
 }
 
 std::string to_string(NamedDaemon::Kind kind) {
@@ -150,18 +164,49 @@ TlsContext::TlsContext(const TlsFiles& files, Side side)
 
 void TlsContext::load_revocations(const std::string& file) {
   const std::unique_ptr<BIO, decltype(&BIO_free_all)> in(BIO_new_file(file.c_str(), "r"), BIO_free_all);
-  revocations_.reset(in ? PEM_read_bio_X509_CRL(in.get(), nullptr, nullptr, nullptr) : nullptr, X509_CRL_free);
   X509_STORE* const store = SSL_CTX_get_cert_store(context_);
-  if (!revocations_ || X509_STORE_add_crl(store, revocations_.get()) != 1 ||
-      X509_STORE_set_flags(store, X509_V_FLAG_CRL_CHECK) != 1)
+  bool good = in != nullptr;
+  while (good) {
+    const std::shared_ptr<X509_CRL> list(PEM_read_bio_X509_CRL(in.get(), nullptr, nullptr, nullptr), X509_CRL_free);
+    if (!list) break;
+    good = X509_STORE_add_crl(store, list.get()) == 1;
+    revocations_.push_back(list);
+  }
+  // The end of the file is an error, too, for OpenSSL.
+  const bool whole = good && !revocations_.empty() && ERR_GET_REASON(ERR_peek_last_error()) == PEM_R_NO_START_LINE;
+  if (!whole || X509_STORE_set_flags(store, X509_V_FLAG_CRL_CHECK) != 1)
     throw config::Error(fmt::format("the list of revoked certificates {} cannot be used: {}", file, tls_error()));
+  ERR_clear_error();
 }
 
-std::string TlsContext::distrust(const x509_st& certificate) const {
-  if (X509_cmp_current_time(X509_get0_notAfter(&certificate)) < 0) return "expired";
-  X509_REVOKED* found = nullptr;
-  auto* const asked = const_cast<X509*>(&certificate);  // OpenSSL 3.0 does not say that it only reads
-  return revocations_ && X509_CRL_get0_by_cert(revocations_.get(), &found, asked) == 1 ? "revoked" : "";
+std::string TlsContext::distrust(const ShownCertificate& shown) const {
+  if (!shown.own) return "";
+  if (X509_cmp_current_time(X509_get0_notAfter(shown.own.get())) < 0) return "expired";
+  const bool revoked = std::any_of(revocations_.begin(), revocations_.end(), [&](const auto& list) {
+    X509_REVOKED* found = nullptr;
+    return X509_CRL_get0_by_cert(list.get(), &found, shown.own.get()) == 1;
+  });
+  if (revoked) return "revoked";
+  const bool same = shown.checked_by.get() == context_;  // as long as no file was replaced
+  return same || has_authority_of(shown) ? "" : "of an authority that is not trusted any more";
+}
+
+/// Whether the authorities of now certify it. Not whether it is revoked: a list that is late or missing ends no
+/// connection that is open.
+bool TlsContext::has_authority_of(const ShownCertificate& shown) const {
+  const std::unique_ptr<X509_STORE_CTX, decltype(&X509_STORE_CTX_free)> check(X509_STORE_CTX_new(),
+                                                                              X509_STORE_CTX_free);
+  const char* const use = side_ == Side::server ? "ssl_client" : "ssl_server";
+  bool certified =
+      check &&
+      X509_STORE_CTX_init(check.get(), SSL_CTX_get_cert_store(context_), shown.own.get(), shown.between.get()) == 1 &&
+      X509_STORE_CTX_set_default(check.get(), use) == 1;
+  if (certified) {
+    X509_VERIFY_PARAM_clear_flags(X509_STORE_CTX_get0_param(check.get()), X509_V_FLAG_CRL_CHECK);
+    certified = X509_verify_cert(check.get()) == 1;
+  }
+  ERR_clear_error();
+  return certified;
 }
 
 double TlsContext::days_left() const {

@@ -2,13 +2,15 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include <iotcloud/config/yaml.h>
 
-struct ssl_ctx_st;   // OpenSSL's SSL_CTX
-struct ssl_st;       // OpenSSL's SSL
-struct x509_st;      // OpenSSL's X509
-struct X509_crl_st;  // OpenSSL's X509_CRL
+struct ssl_ctx_st;     // OpenSSL's SSL_CTX
+struct ssl_st;         // OpenSSL's SSL
+struct stack_st_X509;  // OpenSSL's STACK_OF(X509)
+struct x509_st;        // OpenSSL's X509
+struct X509_crl_st;    // OpenSSL's X509_CRL
 
 namespace iotcloud::security {
 
@@ -17,7 +19,8 @@ struct TlsFiles {
   std::string ca;           ///< the trusted authorities
   std::string certificate;  ///< the own certificate, followed by those between it and the authority
   std::string key;          ///< the certificate's private key, without a password
-  /// certificates of the authorities that are worth nothing any more (a list of revocations); empty: no such list
+  /// certificates of the authorities that are worth nothing any more (lists of revocations, one for each authority);
+  /// empty: no such list
   std::string revoked{};
   bool empty() const { return ca.empty() && certificate.empty() && key.empty(); }
   friend bool operator==(const TlsFiles&, const TlsFiles&) = default;
@@ -26,6 +29,14 @@ struct TlsFiles {
 /// Reads `tls: {ca, certificate, key, revoked}`; the first three are needed, and all are checked. Without the section:
 /// no TLS. \throws ConfigError if one is missing or unusable, with file, line and remedy.
 TlsFiles read_tls(config::YamlSection& section);
+
+/// What the other side of a connection showed at the handshake.
+struct ShownCertificate {
+  std::shared_ptr<x509_st> own{};            ///< null: none
+  std::shared_ptr<stack_st_X509> between{};  ///< those between it and an authority; null: none
+  std::shared_ptr<ssl_ctx_st> checked_by{};  ///< TlsContext::get() of the handshake
+};
+ShownCertificate shown_certificate(const ssl_st* ssl);
 
 /// The settings that all connections of one side share: TLS 1.2 or later; both sides show a certificate of the
 /// authority. Sessions are not resumed, so that every connection is checked anew. Thread safe.
@@ -40,17 +51,19 @@ class TlsContext {
   TlsContext& operator=(const TlsContext&) = delete;
 
   ssl_ctx_st* get() const { return context_; }
-  /// Why a certificate that was trusted when its connection began is not any more: "revoked", "expired"; empty: it is.
-  std::string distrust(const x509_st& certificate) const;
+  /// Why a certificate that was trusted when its connection began is not any more: "revoked", "expired", "of an
+  /// authority that is not trusted any more"; empty: it is, or there is none.
+  std::string distrust(const ShownCertificate& shown) const;
   /// Days until this side's own certificate expires.
   double days_left() const;
   Side side() const { return side_; }
 
  private:
   void load_revocations(const std::string& file);
+  bool has_authority_of(const ShownCertificate& shown) const;
 
   ssl_ctx_st* context_;
-  std::shared_ptr<X509_crl_st> revocations_;  ///< null: no list
+  std::vector<std::shared_ptr<X509_crl_st>> revocations_;
   const Side side_;
 };
 

@@ -173,11 +173,7 @@ class HttpConnectionOver final : public HttpConnection,
       : HttpConnection(shared, stranger_at(socket)), stream_(std::move(socket), rest...) {}
 
   std::string distrust(const security::TlsContext& tls) override {
-    if constexpr (secure) {
-      const std::unique_ptr<X509, decltype(&X509_free)> certificate(SSL_get1_peer_certificate(stream_.native_handle()),
-                                                                    &X509_free);
-      if (certificate) return tls.distrust(*certificate);
-    }
+    if constexpr (secure) return tls.distrust(security::shown_certificate(stream_.native_handle()));
     return "";
   }
 

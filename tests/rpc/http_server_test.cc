@@ -26,6 +26,7 @@
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/rpc/as_nobody.h>
 #include <iotcloud/tests/security/certificates.h>
 #include <iotcloud/tests/servers/free_port.h>
@@ -529,6 +530,26 @@ TEST_F(GuardedPages, OpenConnectionsOfARevokedCertificateAreCutByThemselvesAndOt
   EXPECT_TRUE(tests::eventually([&] { return !stolen.reads_the_page(); }));
   EXPECT_THAT(read(server, {certificates_.of("thief"), token_}), HasSubstr("does not answer"));
   EXPECT_TRUE(honest.reads_the_page());
+}
+
+TEST_F(GuardedPages, OpenConnectionsOfAnAuthorityThatIsTakenOutAreCutByThemselvesAndOthersGoOn) {
+  const security::test::Certificates before;
+  auto settings = settings_;
+  settings.tls.ca = folder_ / "ca.pem";
+  const std::string present = tests::read_file(certificates_.of("lab1").ca);
+  tests::write_file(settings.tls.ca, tests::read_file(before.of("lab1").ca) + present);
+  settings.look_period = std::chrono::milliseconds(5);
+  const HttpServer server(settings, pages_);
+  auto old_files = before.of("operator");
+  old_files.ca = settings_.tls.ca;
+  KeptConnection of_old(server, old_files, token_);
+  KeptConnection of_present(server, certificates_.of("operator"), token_);
+  EXPECT_TRUE(of_old.reads_the_page());
+  EXPECT_TRUE(of_present.reads_the_page());
+  tests::write_file(settings.tls.ca, present);
+  EXPECT_TRUE(tests::eventually([&] { return !of_old.reads_the_page(); }));
+  EXPECT_THAT(read(server, {old_files, token_}), HasSubstr("does not answer"));
+  EXPECT_TRUE(of_present.reads_the_page());
 }
 
 TEST_F(GuardedPages, ShowARenewedCertificateByThemselvesAndKeepTheOldOneWhileTheNewIsOfNoUse) {

@@ -21,6 +21,7 @@
 #include <iotcloud/security/renewals.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/files.h>
 #include <iotcloud/tests/rpc/service.h>
 #include <iotcloud/tests/security/certificates.h>
 
@@ -284,28 +285,97 @@ TEST_F(Tls, AClientWithTlsIsCutOffByAServerWithoutAndSaysSo) {
   EXPECT_THAT(error_of(client(ours_->of("operator"))), AnyOf(HasSubstr("closed"), HasSubstr("reset")));
 }
 
-TEST_F(Tls, NewConnectionsSeeTheCertificatesThatWereReadAgainAndOldOnesGoOn) {
+TEST_F(Tls, AnAuthorityIsReplacedWithoutACutUntilItIsTakenOutWhichCutsWhatItHasCertified) {
   const security::test::Folder folder;
   options_.tls = {folder / "ca.pem", folder / "lab1.pem", folder / "lab1.key"};
-  const auto install = [&](const security::TlsFiles& files) {
-    constexpr auto over = std::filesystem::copy_options::overwrite_existing;
-    std::filesystem::copy_file(files.ca, options_.tls.ca, over);
-    std::filesystem::copy_file(files.certificate, options_.tls.certificate, over);
-    std::filesystem::copy_file(files.key, options_.tls.key, over);
+  const auto install = [&](const std::string& authorities, const security::TlsFiles& own) {
+    tests::write_file(options_.tls.ca, authorities);
+    tests::write_file(options_.tls.certificate, tests::read_file(own.certificate));
+    tests::write_file(options_.tls.key, tests::read_file(own.key));
   };
-  install(ours_->of("lab1"));
+  const std::string old_one = tests::read_file(ours_->of("lab1").ca);
+  const std::string new_one = tests::read_file(theirs_->of("lab1").ca);
+  const std::string both = tests::write_file(folder / "both.pem", old_one + new_one);
+  const auto caller = [&](const security::test::Certificates& of) {
+    auto files = of.of("operator");
+    files.ca = both;
+    return client(files);
+  };
+  const tests::CapturedLog log;
+  install(old_one, ours_->of("lab1"));
   serve();
-  const ThriftClient early(client(ours_->of("operator")));
+  const ThriftClient early(caller(*ours_));
   EXPECT_EQ(ask(early), "hello");
-  install(theirs_->of("lab1"));
-  EXPECT_NE(error_of(client(theirs_->of("operator"))), "") << "nothing is read before it is told so";
+  install(old_one + new_one, ours_->of("lab1"));
+  EXPECT_NE(error_of(caller(*theirs_)), "") << "nothing is read before it is told so";
   server_->reload();
-  EXPECT_EQ(ask(ThriftClient(client(theirs_->of("operator")))), "hello");
-  EXPECT_NE(error_of(client(ours_->of("operator"))), "");
+  const ThriftClient renewed(caller(*theirs_));
+  EXPECT_EQ(ask(renewed), "hello");
+  install(old_one + new_one, theirs_->of("lab1"));
+  server_->reload();
+  EXPECT_EQ(ask(ThriftClient(client(theirs_->of("operator")))), "hello") << "a new connection sees the new certificate";
+  EXPECT_EQ(ask(ThriftClient(caller(*ours_))), "hello");
   EXPECT_EQ(ask(early), "hello");
+  EXPECT_EQ(refusals(options_.name, "revoked"), 0u);
+
+  install(new_one, theirs_->of("lab1"));
+  server_->reload();
+  ASSERT_TRUE(tests::eventually([&] { return refusals(options_.name, "revoked") == 1; }));
+  EXPECT_TRUE(tests::eventually([&] { return log.contains("of an authority that is not trusted any more"); }));
+  EXPECT_THROW(ask(early), apache::thrift::TException);
+  EXPECT_NE(error_of(caller(*ours_)), "");
+  EXPECT_EQ(ask(renewed), "hello");
   std::filesystem::remove(options_.tls.key);
   EXPECT_THROW(server_->reload(), config::Error);
-  EXPECT_EQ(ask(ThriftClient(client(theirs_->of("operator")))), "hello") << "it goes on with what it had";
+  EXPECT_EQ(ask(ThriftClient(caller(*theirs_))), "hello") << "it goes on with what it had";
+  EXPECT_EQ(ask(renewed), "hello");
+}
+
+TEST_F(Tls, WhileAnAuthorityIsReplacedTheRevocationsOfBothCount) {
+  const security::test::Certificates before;
+  const security::test::Certificates after;
+  const security::test::Folder folder;
+  const auto join = [&] {
+    std::string authorities;
+    std::string lists;
+    for (const auto* made : {&before, &after}) {
+      authorities += tests::read_file(made->of("lab1").ca);
+      lists += tests::read_file(security::revocations_file(made->authority()));
+    }
+    tests::write_file(folder / "ca.pem", authorities);
+    tests::write_file(folder / "revoked.pem", lists);
+  };
+  for (const auto* made : {&before, &after}) {
+    made->authority().certify_caller("thief");
+    security::make_revocations(made->authority());
+  }
+  join();
+  options_.tls = before.of("lab1");
+  options_.tls.ca = folder / "ca.pem";
+  options_.tls.revoked = folder / "revoked.pem";
+  serve();
+  const auto caller = [&](const security::test::Certificates& of, const std::string& name) {
+    auto files = of.of(name);
+    files.ca = before.of("lab1").ca;
+    return client(files);
+  };
+  const ThriftClient old_thief(caller(before, "thief"));
+  const ThriftClient new_thief(caller(after, "thief"));
+  EXPECT_EQ(ask(old_thief), "hello");
+  EXPECT_EQ(ask(new_thief), "hello");
+  std::uint64_t cut = 0;
+  for (const auto* made : {&after, &before}) {
+    security::revoke_certificate(made->authority(), "thief");
+    join();
+    server_->reload();
+    ++cut;
+    ASSERT_TRUE(tests::eventually([&] { return refusals(options_.name, "revoked") == cut; }));
+    EXPECT_NE(error_of(caller(*made, "thief")), "");
+    for (const auto* honest : {&before, &after}) EXPECT_EQ(ask(ThriftClient(caller(*honest, "operator"))), "hello");
+    if (made == &after) EXPECT_EQ(ask(old_thief), "hello");
+  }
+  EXPECT_THROW(ask(old_thief), apache::thrift::TException);
+  EXPECT_THROW(ask(new_thief), apache::thrift::TException);
 }
 
 TEST_F(Tls, ARevokedCertificateIsCutOffAtOnceAlsoOnAnOpenConnectionAndOthersGoOn) {

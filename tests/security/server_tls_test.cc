@@ -30,12 +30,12 @@ TEST(ServerTls, ARevokedCertificateDoesNotComeBackByAThreadThatHasReadTheListBef
   files.revoked = folder / "revoked.pem";
   std::ofstream(files.revoked) << before;
   ServerTls tls("test", files);
-  const auto thief = openssl::read_certificate(made.authority().certificate("thief"));
-  EXPECT_EQ(tls.context()->distrust(*thief), "");
+  const ShownCertificate thief{openssl::read_certificate(made.authority().certificate("thief"))};
+  EXPECT_EQ(tls.context()->distrust(thief), "");
   revoke_certificate(made.authority(), "thief");
   test::reload_around_a_change(files.revoked, before, content_of(revocations_file(made.authority())),
                                [&] { tls.reload(); });
-  EXPECT_THAT(tls.context()->distrust(*thief), testing::HasSubstr("revoked"));
+  EXPECT_THAT(tls.context()->distrust(thief), testing::HasSubstr("revoked"));
 }
 
 }  // namespace
