@@ -6,6 +6,7 @@
 #include <deque>
 #include <filesystem>
 #include <functional>
+#include <limits>
 #include <memory>
 #include <string>
 #include <thread>
@@ -373,6 +374,13 @@ TEST(StormBoltHost, ALateTupleIsNotExecuted) {
   EXPECT_THAT(task.execute(1, Values("x", now)), ElementsAre("emit stream 1 @1: in time, born", "ack 1"));
   EXPECT_THAT(task.execute(2, Values("x", now - 60'000)), ElementsAre("emit stream 1 @2: x, born", "ack 2"));
   EXPECT_EQ(counted("iotcloud_task_late_total"), late + 1);
+  // Another worker's process may say any birth.
+  constexpr auto farthest = std::numeric_limits<std::int64_t>::max();
+  constexpr std::int64_t four_centuries_ms = std::int64_t{400} * 365 * 24 * 3600 * 1000;
+  EXPECT_THAT(task.execute(3, Values("x", farthest)), ElementsAre("emit stream 1 @3: in time, born", "ack 3"));
+  EXPECT_THAT(task.execute(4, Values("x", -farthest)), ElementsAre("emit stream 1 @4: x, born", "ack 4"));
+  EXPECT_THAT(task.execute(5, Values("x", now - four_centuries_ms)), ElementsAre("emit stream 1 @5: x, born", "ack 5"));
+  EXPECT_EQ(counted("iotcloud_task_late_total"), late + 3);
 }
 
 TEST(StormBoltHost, OfAnInputWithKeepLastOnlyTheNewestTuplesOfAKeyAreExecuted) {

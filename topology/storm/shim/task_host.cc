@@ -16,6 +16,9 @@ thread_local const TaskHost* calling = nullptr;
 
 constexpr int no_task = -1;  ///< the groupings choose the receivers
 constexpr std::int64_t ns_in_ms = 1'000'000;
+/// The birth of a tuple comes from another worker's process, and may be any number: none is further away than this, so
+/// that its age can be counted in nanoseconds.
+constexpr std::int64_t century_ms = std::int64_t{100} * 365 * 24 * 3600 * 1000;
 
 /// The troubles of all components in this process.
 TroubleBoard& troubles() {
@@ -106,7 +109,9 @@ void TaskHost::add_birth(std::uint16_t stream, Values& values, std::int64_t born
 }
 
 std::int64_t TaskHost::birth_of(std::int64_t wall_ms) const {
-  return clock_.now().time_since_epoch().count() - (clock_.wall_ms() - wall_ms) * ns_in_ms;
+  const std::int64_t now_ms = clock_.wall_ms();
+  const std::int64_t age_ms = now_ms - std::clamp(wall_ms, now_ms - century_ms, now_ms + century_ms);
+  return clock_.now().time_since_epoch().count() - age_ms * ns_in_ms;
 }
 
 void TaskHost::require_own_call() const {
