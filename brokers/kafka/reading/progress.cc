@@ -12,9 +12,12 @@ namespace {
 
 // The text beside a committed offset: "iotcloud1 END HANDED RANGES". END is "end" if the reader ended in order and knew
 // how far readers before it may have got, otherwise "on"; HANDED is how many offsets from the committed one on may have
-// been handed on; RANGES, such as "2,5-9,", are the settled ones among them, counted in the same way.
+// been handed on; RANGES, such as "2,5-9,", are the settled ones among them, counted in the same way. Any member of the
+// group may write any text and any offset there.
 constexpr std::string_view mark = "iotcloud1 ";
 constexpr std::size_t longest = 3000;  // servers take 4096 bytes
+/// No partition has so many records. The sum of two such numbers is a number, too.
+constexpr std::int64_t most_records = std::int64_t{1} << 60;
 
 std::string_view take_word(std::string_view& text, char end) {
   const auto at = text.find(end);
@@ -25,8 +28,7 @@ std::string_view take_word(std::string_view& text, char end) {
 
 std::optional<std::int64_t> to_offset(std::string_view text) {
   const auto number = config::parse_number<std::int64_t>(text);
-  constexpr std::int64_t sane = std::int64_t{1} << 60;
-  return number && *number >= 0 && *number <= sane ? number : std::nullopt;
+  return number && *number >= 0 && *number <= most_records ? number : std::nullopt;
 }
 
 }  // namespace
@@ -43,7 +45,7 @@ Progress::Progress(const Committed& committed, std::int64_t handed_on)
 
 void Progress::read_metadata(const Committed& committed) {
   std::string_view text = committed.metadata;
-  if (!text.starts_with(mark)) return;
+  if (!text.starts_with(mark) || committed.offset < 0 || committed.offset > most_records) return;
   text.remove_prefix(mark.size());
   const bool ended = take_word(text, ' ') == "end";
   const std::optional<std::int64_t> handed = to_offset(take_word(text, ' '));

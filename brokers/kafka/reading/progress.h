@@ -18,7 +18,7 @@ using client::Arrived;
 /// A group's progress in a partition, as the server keeps it.
 struct Committed {
   std::int64_t offset = -1;  ///< the first unsettled offset; below 0: nothing was committed yet
-  std::string metadata;      ///< our own text beside it, see Progress; at most 4096 bytes
+  std::string metadata;      ///< our own text beside it, see Progress, or what another member wrote; at most 4096 bytes
   bool known = true;         ///< false: the server did not say what the group has committed
 };
 

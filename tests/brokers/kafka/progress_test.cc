@@ -1,6 +1,7 @@
 // How a reader of Kafka keeps its place in a partition.
 #include "iotcloud/brokers/kafka/reading/progress.h"
 
+#include <limits>
 #include <string>
 
 #include <gtest/gtest.h>
@@ -129,6 +130,20 @@ TEST(KafkaProgress, ForeignTextBesideAnOffsetMeansNothing) {
     EXPECT_EQ(progress.start(), 10) << text;
     EXPECT_FALSE(progress.was_settled(17)) << text;
   }
+}
+
+TEST(KafkaProgress, NumbersThatNoPartitionReachesMeanNothing) {
+  constexpr auto last = std::numeric_limits<std::int64_t>::max();
+  constexpr std::int64_t far = std::int64_t{1} << 60;
+  const std::string text = "iotcloud1 end " + std::to_string(far) + " 0-" + std::to_string(far) + ",";
+  const Progress beyond({last, text}, 7);
+  EXPECT_EQ(beyond.handed_on(), 7);
+  EXPECT_FALSE(beyond.was_settled(last));
+  EXPECT_TRUE(beyond.wants_log_end()) << "whoever wrote that is not believed to have ended in order";
+  const Progress farthest({far, text}, 7);
+  EXPECT_EQ(farthest.handed_on(), 2 * far);
+  EXPECT_TRUE(farthest.was_settled(2 * far));
+  EXPECT_FALSE(farthest.was_settled(2 * far + 1));
 }
 
 TEST(KafkaProgress, TheTextStaysWithinWhatAServerTakes) {
