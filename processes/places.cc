@@ -61,9 +61,11 @@ std::string plain_name(std::string name) {
 }
 
 bool may_be_host(const std::string& host) {
-  return !host.empty() && std::all_of(host.begin(), host.end(), [](unsigned char letter) {
-    return std::isalnum(letter) != 0 || std::string_view(".-_:%").find(static_cast<char>(letter)) != std::string::npos;
-  });
+  return !host.empty() && !host.starts_with('.') && !host.ends_with("..") &&
+         std::all_of(host.begin(), host.end(), [](unsigned char letter) {
+           return std::isalnum(letter) != 0 ||
+                  std::string_view(".-_:%").find(static_cast<char>(letter)) != std::string::npos;
+         });
 }
 
 }  // namespace

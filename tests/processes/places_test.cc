@@ -52,8 +52,9 @@ TEST(Place, IsAMachineAndAPort) {
 }
 
 TEST(Place, IsNothingElse) {
-  for (const char* text : {"", ":", "a", "a:", ":1", "a:0", "a:65536", "a:b", "a:-1", "::1:80", "[a]:80", "[::1]",
-                           "a:1:2", "a/b:1", "a b:1", "a\n:1", "*:1", "[]:1", "10.0.0.0/8:1"}) {
+  for (const char* text :
+       {"",      ":",     "a",     "a:",  ":1",   "a:0",   "a:65536", "a:b",   "a:-1", "::1:80", "[a]:80",
+        "[::1]", "a:1:2", "a..:1", ".:1", ".a:1", "a/b:1", "a b:1",   "a\n:1", "*:1",  "[]:1",   "10.0.0.0/8:1"}) {
     EXPECT_THROW(parse_place(text), config::Error) << text;
   }
 }
