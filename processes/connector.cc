@@ -13,6 +13,7 @@
 #include <string_view>
 #include <thread>
 #include <utility>
+#include <variant>
 
 #include <fcntl.h>
 #include <fmt/format.h>
@@ -29,6 +30,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/processes/confinement.h>
 #include <iotcloud/processes/connector.h>
+#include <iotcloud/processes/connector_request.h>
 #include <iotcloud/processes/descriptor.h>
 #include <iotcloud/processes/landlock.h>
 #include <iotcloud/processes/logger.h>
@@ -38,11 +40,7 @@ namespace iotcloud::processes {
 
 namespace {
 
-// A request is a message with one of these letters, and with a socket for the answer. To connect: the address's bytes,
-// and as a second descriptor the socket to connect. To find a machine: whether addresses of kinds that this machine has
-// are enough, '1' or '0', and the name.
-constexpr char to_connect = 'c', to_find = 'f';
-constexpr std::size_t longest_request = 2048, longest_answer = 8192, most_addresses = 128;
+constexpr std::size_t longest_answer = 8192, most_addresses = 128;
 constexpr std::ptrdiff_t most_lookups = 32;
 constexpr const char* ready = "+";
 
@@ -100,7 +98,7 @@ class Connector {
         apart([this] { places_.refresh(); });
       }
       if (on[0].revents == 0) continue;
-      auto request = receive_with(channel_, longest_request);
+      auto request = receive_with(channel_, longest_connector_request);
       if (!request && errno == EINTR) continue;
       if (!request || request->bytes.empty()) return;
       if (!request->descriptors.empty()) take(*std::move(request));
@@ -110,24 +108,20 @@ class Connector {
  private:
   struct Connecting {
     OwnedDescriptor reply, socket;
-    sockaddr_storage address{};
-    socklen_t size = 0;
+    ConnectRequest to;
   };
 
-  void take(Passed request) {
-    OwnedDescriptor reply = std::move(request.descriptors.front());
-    const std::string_view rest = std::string_view(request.bytes).substr(1);
-    if (request.bytes.front() == to_find && rest.size() > 1) {
-      find(std::move(reply), std::string(rest.substr(1)), rest.front() == '1');
-    } else if (request.bytes.front() == to_connect && request.descriptors.size() == 2 &&
-               rest.size() >= sizeof(sa_family_t) && rest.size() <= sizeof(sockaddr_storage)) {
-      auto asked = std::make_shared<Connecting>();
-      asked->reply = std::move(reply);
-      asked->socket = std::move(request.descriptors.back());
-      std::memcpy(&asked->address, rest.data(), rest.size());
-      asked->size = static_cast<socklen_t>(rest.size());
-      connect(asked);
-    }
+  void take(Passed passed) {
+    const auto request = decode_connector_request(passed.bytes, passed.descriptors.size());
+    if (!request) return;
+    OwnedDescriptor reply = std::move(passed.descriptors.front());
+    if (const auto* wanted = std::get_if<FindRequest>(&*request))
+      return find(std::move(reply), wanted->name, wanted->configured);
+    auto asked = std::make_shared<Connecting>();
+    asked->reply = std::move(reply);
+    asked->socket = std::move(passed.descriptors.back());
+    asked->to = std::get<ConnectRequest>(*request);
+    connect(asked);
   }
 
   void find(OwnedDescriptor reply, const std::string& name, bool configured) {
@@ -143,8 +137,8 @@ class Connector {
   }
 
   void connect(const std::shared_ptr<Connecting>& asked) {
-    const auto endpoint = endpoint_of(asked->address, asked->size);
-    if (!endpoint || !is_tcp(asked->socket, asked->address.ss_family)) {
+    const auto endpoint = endpoint_of(asked->to.address, asked->to.size);
+    if (!endpoint || !is_tcp(asked->socket, asked->to.address.ss_family)) {
       answer_with(asked->reply, {EACCES, true});
     } else if (places_.knows(*endpoint)) {
       answer_with(asked->reply, {connected(*asked), false});
@@ -179,8 +173,8 @@ class Connector {
 
   /// Connects the socket, which does not block. \return 0 or errno.
   static int connected(const Connecting& asked) {
-    const auto* const address = reinterpret_cast<const sockaddr*>(&asked.address);
-    return syscall(SYS_connect, asked.socket.get(), address, asked.size) == 0 ? 0 : errno;
+    const auto* const address = reinterpret_cast<const sockaddr*>(&asked.to.address);
+    return syscall(SYS_connect, asked.socket.get(), address, asked.to.size) == 0 ? 0 : errno;
   }
 
   const OwnedDescriptor channel_, other_;
@@ -300,15 +294,14 @@ std::string in_words(const sockaddr_storage& address, socklen_t size) {
 
 /// Has the socket, which does not block, connected. \return 0 or errno.
 int connect_now(Client& of, int socket, const sockaddr* address, socklen_t size) {
-  sockaddr_storage copy{};
-  if (size < sizeof(sa_family_t) || size > sizeof copy) return EINVAL;
-  std::memcpy(&copy, address, size);
-  std::string request(1, to_connect);
-  request.append(reinterpret_cast<const char*>(&copy), size);
-  const auto answer = answer_to(of, request, socket);
+  ConnectRequest request;
+  if (size < sizeof(sa_family_t) || size > sizeof request.address) return EINVAL;
+  std::memcpy(&request.address, address, size);
+  request.size = size;
+  const auto answer = answer_to(of, encode(request), socket);
   if (!answer) return EAGAIN;
   if (answer->first.refused)
-    tell_refused(of, fmt::format("this process was kept from connecting to {}", in_words(copy, size)));
+    tell_refused(of, fmt::format("this process was kept from connecting to {}", in_words(request.address, size)));
   return answer->first.error;
 }
 
@@ -395,10 +388,8 @@ int find_through(decltype(&getaddrinfo) real, const char* node, const char* serv
                  addrinfo** found) noexcept try {
   const int flags = hints != nullptr ? hints->ai_flags : AI_ADDRCONFIG;
   if (node == nullptr || (flags & AI_NUMERICHOST) != 0) return real(node, service, hints, found);
-  std::string request(1, to_find);
-  request += (flags & AI_ADDRCONFIG) != 0 ? '1' : '0';
-  request += node;
-  if (request.size() > longest_request) return EAI_NONAME;
+  const std::string request = encode(FindRequest{node, (flags & AI_ADDRCONFIG) != 0});
+  if (request.size() > longest_connector_request) return EAI_NONAME;
   const auto answer = answer_to(*client, request, -1);
   if (!answer) return EAI_AGAIN;
   if (answer->first.refused) {

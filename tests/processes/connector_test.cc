@@ -4,6 +4,7 @@
 #include <cstring>
 #include <string>
 #include <thread>
+#include <variant>
 #include <vector>
 
 #include <arpa/inet.h>
@@ -17,6 +18,7 @@
 #include <unistd.h>
 
 #include <iotcloud/processes/connector.h>
+#include <iotcloud/processes/connector_request.h>
 #include <iotcloud/processes/descriptor.h>
 #include <iotcloud/processes/landlock.h>
 #include <iotcloud/tests/loopback_listener.h>
@@ -30,6 +32,26 @@ sockaddr_in loopback(std::uint16_t port) {
   to.sin_port = htons(port);
   to.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
   return to;
+}
+
+TEST(ConnectorRequest, ComesWithItsDescriptorsAndAnAddressOrAName) {
+  ConnectRequest connect;
+  const auto to = loopback(80);
+  std::memcpy(&connect.address, &to, sizeof to);
+  connect.size = sizeof to;
+  const std::string bytes = encode(connect);
+  const auto read = decode_connector_request(bytes, 2);
+  ASSERT_TRUE(read && std::holds_alternative<ConnectRequest>(*read));
+  EXPECT_EQ(encode(*read), bytes);
+  for (const std::size_t descriptors : {0, 1, 3}) EXPECT_FALSE(decode_connector_request(bytes, descriptors));
+  EXPECT_FALSE(decode_connector_request(bytes.substr(0, 2), 2));
+  EXPECT_FALSE(decode_connector_request("c" + std::string(sizeof(sockaddr_storage) + 1, 'x'), 2));
+  const auto found = decode_connector_request(encode(FindRequest{"lab1", true}), 1);
+  ASSERT_TRUE(found && std::holds_alternative<FindRequest>(*found));
+  EXPECT_EQ(std::get<FindRequest>(*found).name, "lab1");
+  EXPECT_TRUE(std::get<FindRequest>(*found).configured);
+  for (const char* none : {"", "f", "f1", "x1lab1"}) EXPECT_FALSE(decode_connector_request(none, 1)) << none;
+  EXPECT_FALSE(decode_connector_request("f1lab1", 0));
 }
 
 class ConnectorTest : public ::testing::Test {
