@@ -8,6 +8,7 @@
 #include "iotcloud/master/TMasterService.h"
 #include "iotcloud/tests/fuzz/seeds.h"
 #include "iotcloud/topology/pool/TPoolService.h"
+#include "iotcloud/topology/storm/Nimbus.h"
 
 namespace iotcloud::fuzz {
 
@@ -263,6 +264,45 @@ struct AnsweringPool : topology::wire::TPoolServiceNull {
   void readLibrary(std::string& answer, const std::string&, const std::int64_t) override { answer = "bytes"; }
 };
 
+struct AnsweringNimbus : topology::storm::idl::NimbusNull {
+  void getLeader(topology::storm::idl::NimbusSummary& answer) override {
+    answer.__set_host("lab1");
+    answer.__set_port(6627);
+    answer.__set_version("2.8.3");
+  }
+  void getTopologySummaries(std::vector<topology::storm::idl::TopologySummary>& answer) override {
+    topology::storm::idl::TopologySummary topology;
+    topology.__set_name("echo");
+    topology.__set_sched_status("ok");
+    answer = {topology, topology};
+  }
+  void getTopologyInfoByName(topology::storm::idl::TopologyInfo& answer, const std::string& name) override {
+    topology::storm::idl::ExecutorSummary executor;
+    executor.__set_component_id("in");
+    executor.__set_stats({});
+    topology::storm::idl::ErrorInfo error;
+    error.__set_error("no\n at line 1");
+    error.__set_host("lab1");
+    answer.__set_name(name);
+    answer.__set_executors({executor});
+    answer.__set_errors({{"in", {error, error}}});
+  }
+  void getTopologyPageInfo(topology::storm::idl::TopologyPageInfo& answer, const std::string& id, const std::string&,
+                           const bool) override {
+    topology::storm::idl::ComponentAggregateStats stats;
+    topology::storm::idl::CommonAggregateStats common;
+    common.__set_emitted(7);
+    topology::storm::idl::BoltAggregateStats bolt;
+    bolt.__set_capacity(0.5);
+    topology::storm::idl::SpecificAggregateStats specific;
+    specific.__set_bolt(bolt);
+    stats.__set_common_stats(common);
+    stats.__set_specific_stats(specific);
+    answer.__set_id(id);
+    answer.__set_id_to_bolt_agg_stats({{"count", stats}});
+  }
+};
+
 /// The first byte chooses the call that the rest answers (thrift_answers_fuzzer.cc).
 SeedsOfTarget answer_seeds() {
   using Site = gateway::wire::TSensorSiteServiceClient;
@@ -277,7 +317,16 @@ SeedsOfTarget answer_seeds() {
   const auto of_pool = [](char call, const auto& calls) {
     return call + answered<Pool, topology::wire::TPoolServiceProcessor, AnsweringPool>(calls);
   };
+  using Nimbus = topology::storm::idl::NimbusClient;
+  const auto of_nimbus = [](char call, const auto& calls) {
+    return call + answered<Nimbus, topology::storm::idl::NimbusProcessor, AnsweringNimbus>(calls);
+  };
   SeedsOfTarget seeds;
+  seeds["nimbus_leader"] = of_nimbus('\xf', [](Nimbus& nimbus) { nimbus.send_getLeader(); });
+  seeds["nimbus_list"] = of_nimbus('\x10', [](Nimbus& nimbus) { nimbus.send_getTopologySummaries(); });
+  seeds["nimbus_info"] = of_nimbus('\x11', [](Nimbus& nimbus) { nimbus.send_getTopologyInfoByName("echo"); });
+  seeds["nimbus_page"] =
+      of_nimbus('\x12', [](Nimbus& nimbus) { nimbus.send_getTopologyPageInfo("echo-1", ":all-time", false); });
   seeds["ping"] = of_site('\0', [](Site& site) { site.send_ping(); });
   seeds["changes"] = of_site('\1', [](Site& site) { site.send_getChanges("0a1b"); });
   seeds["log"] = of_site('\2', [](Site& site) { site.send_readLog("0a1b", "", 9); });

@@ -1,4 +1,5 @@
-// What anybody may answer to a call of ours: a false gateway or pool to a master, a false master to the command line.
+// What anybody may answer to a call of ours: a false gateway or pool to a master, a false master to the command line, a
+// false Nimbus to iotcloud-storm.
 // The first byte chooses the call, the rest are the bytes of the connection.
 #include <array>
 #include <functional>
@@ -17,11 +18,13 @@
 #include "iotcloud/tests/fuzz/bytes.h"
 #include "iotcloud/tests/fuzz/fuzz_target.h"
 #include "iotcloud/topology/pool/TPoolService.h"
+#include "iotcloud/topology/storm/Nimbus.h"
 
 using namespace iotcloud;
 using Site = gateway::wire::TSensorSiteServiceClient;
 using Api = master::wire::TMasterAPIServiceClient;
 using Workers = topology::wire::TPoolServiceClient;
+using Nimbus = topology::storm::idl::NimbusClient;
 
 namespace {
 
@@ -93,6 +96,22 @@ const std::array calls = {
     std::function([](const Protocol& to) {
       std::string piece;
       Workers(to).readLibrary(piece, "00", 0);
+    }),
+    std::function([](const Protocol& to) {
+      topology::storm::idl::NimbusSummary leader;
+      Nimbus(to).getLeader(leader);
+    }),
+    std::function([](const Protocol& to) {
+      std::vector<topology::storm::idl::TopologySummary> topologies;
+      Nimbus(to).getTopologySummaries(topologies);
+    }),
+    std::function([](const Protocol& to) {
+      topology::storm::idl::TopologyInfo info;
+      Nimbus(to).getTopologyInfoByName(info, "echo");
+    }),
+    std::function([](const Protocol& to) {
+      topology::storm::idl::TopologyPageInfo page;
+      Nimbus(to).getTopologyPageInfo(page, "echo-1", ":all-time", false);
     }),
 };
 

@@ -1,14 +1,23 @@
 #include <chrono>
+#include <cstring>
 #include <limits>
+#include <optional>
 #include <string>
+#include <variant>
 #include <vector>
+
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <sys/un.h>
 
 #include "iotcloud/discovery/records.h"
 #include "iotcloud/gateway/host/protocol.h"
+#include "iotcloud/processes/connector_request.h"
 #include "iotcloud/processes/starter_protocol.h"
 #include "iotcloud/security/audit_chain.h"
 #include "iotcloud/tests/fuzz/seeds.h"
 #include "iotcloud/topology/pool/worker_protocol.h"
+#include "iotcloud/topology/storm/value_format.h"
 
 namespace iotcloud::fuzz {
 
@@ -83,11 +92,56 @@ SeedsOfTarget starter_protocol() {
                            encode(StarterAnswer{StarterAnswer::Kind::killed, 0, {}})}};
 }
 
+template <typename Address>
+processes::ConnectRequest connect_to(const Address& address) {
+  processes::ConnectRequest request;
+  std::memcpy(&request.address, &address, sizeof address);
+  request.size = sizeof address;
+  return request;
+}
+
+/// The first byte says how many descriptors come with the rest, or that it is no request (connector_request_fuzzer.cc).
+SeedsOfTarget connector_requests() {
+  constexpr std::uint16_t port = 554;
+  sockaddr_in ip4{};
+  ip4.sin_family = AF_INET;
+  ip4.sin_port = htons(port);
+  ip4.sin_addr.s_addr = htonl(0x0A000007);
+  sockaddr_in6 ip6{};
+  ip6.sin6_family = AF_INET6;
+  ip6.sin6_port = htons(port);
+  ip6.sin6_addr = in6addr_loopback;
+  ip6.sin6_scope_id = 1;
+  sockaddr_un local{};
+  local.sun_family = AF_UNIX;
+  return {{"ip4", '\2' + encode(connect_to(ip4))},
+          {"ip6", '\2' + encode(connect_to(ip6))},
+          {"local", '\2' + encode(connect_to(local))},
+          {"find", '\1' + encode(processes::FindRequest{"camera", true})},
+          {"find_full", '\1' + encode(processes::FindRequest{"Camera.", false})},
+          {"places", "\4camera-1:554, Camera.Lab.:80 10.0.0.7:65535,[2001:db8::7]:1"}};
+}
+
 SeedsOfTarget worker_protocol() {
   using topology::pooled::PoolCommand;
   using topology::pooled::WorkerReport;
   return {{"commands", '\x20' + encode(PoolCommand{}) + encode(PoolCommand{true})},
           {"reports", '\x21' + encode(WorkerReport{}) + encode(WorkerReport{true, "lab1-4711", "count", 2, 61'000})}};
+}
+
+/// The first byte says what is settled after that (kafka_progress_fuzzer.cc).
+SeedsOfTarget kafka_progress() {
+  const auto committed = [](char first, std::int64_t offset, const std::string& text) {
+    std::string bytes(1 + sizeof offset, first);
+    std::memcpy(bytes.data() + 1, &offset, sizeof offset);
+    return bytes + text;
+  };
+  constexpr auto last = std::numeric_limits<std::int64_t>::max();
+  return {{"on", committed('\x0a', 5, "iotcloud1 on 7 2,5-6,")},
+          {"ended", committed('\xa5', 0, "iotcloud1 end 0 ")},
+          {"none", committed('\xff', -1, "")},
+          {"last", committed('\0', last, "iotcloud1 end 9 0-1152921504606846976,1")},
+          {"foreign", committed('\1', 1 << 20, "iotcloud2 end 1 2,")}};
 }
 
 /// The first byte chooses whether the target signs the rest (signed_orders_fuzzer.cc), the second what it changes then.
@@ -126,6 +180,27 @@ SeedsOfTarget json_payloads() {
           {"command_deep", '\1' + std::string(2'000, '[')}};
 }
 
+/// The first byte says what comes with the values (storm_values_fuzzer.cc).
+SeedsOfTarget storm_values() {
+  using topology::Payload;
+  using topology::Values;
+  namespace storm = topology::storm;
+  const auto bytes = [](char first, const Values& values, storm::JavaValues elsewhere = {}) {
+    std::vector<std::byte> encoded(storm::encoded_size(values.all(), elsewhere));
+    storm::encode_values(values.all(), encoded.data(), elsewhere);
+    return first + std::string(reinterpret_cast<const char*>(encoded.data()), encoded.size());
+  };
+  const std::vector<std::optional<storm::JavaValue>> apart{storm::JavaValue{}, std::nullopt, storm::JavaValue{}};
+  const auto large = Payload::copy(std::string("large"));
+  return {
+      {"kinds", bytes('\0', Values(std::monostate(), true, false, -1, 2.5, "z\xC3\xA4hlt", large))},
+      {"none", bytes('\0', Values())},
+      {"birth", bytes('\1', Values("a", std::int64_t{1'700'000'000'000}))},
+      {"arrays", bytes('\x0a', Values(large, "between", large), apart)},
+      {"arrays_and_birth", bytes('\x0b', Values(large, -1, large, std::numeric_limits<std::int64_t>::min()), apart)},
+      {"of_tuple", std::string("\0\1\0\0\0\7\3\0\0\0\2\0\0\0", 14)}};
+}
+
 /// What a worker says of its tasks (topology/worker), as older ones and no worker say it.
 SeedsOfTarget worker_pages() {
   const std::string component = R"({"id":"in","kind":"spout","parallelism":2147483647,"tasks":1})";
@@ -148,7 +223,9 @@ void add_wire_seeds(Seeds& seeds) {
   const std::string hash(64, 'a');
   seeds["host_protocol"] = host_protocol();
   seeds["starter_protocol"] = starter_protocol();
+  seeds["connector_request"] = connector_requests();
   seeds["worker_protocol"] = worker_protocol();
+  seeds["storm_values"] = storm_values();
   seeds["kafka_headers"]["ours"] = header("sensorID", "01") + header("siteID", "gw") + header("time", "1700000000000") +
                                    header("x-iotcloud-expires", "9") + header("x-iotcloud-resent", "1");
   seeds["kafka_headers"]["twice"] = header("sensorID", "01") + header("sensorID", "02") + header("time", "-1");
@@ -157,6 +234,7 @@ void add_wire_seeds(Seeds& seeds) {
   seeds["kafka_headers"]["without_values"] = std::string("\x08sensorID\xff\x06siteID\xff\x04time\xff", 24);
   for (int i = 0; i < 70; ++i) seeds["kafka_headers"]["many"] += header("n" + std::to_string(i), "v");
   seeds["kafka_headers"]["others"] = header("traceparent", "00-1") + header("", "") + std::string("\x01n\xff", 3);
+  seeds["kafka_progress"] = kafka_progress();
   seeds["signed_orders"] = signed_orders();
   seeds["json_payload"] = json_payloads();
   seeds["http"] = {

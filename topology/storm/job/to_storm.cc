@@ -3,7 +3,6 @@
 #include <memory>
 #include <set>
 #include <string>
-#include <tuple>
 #include <utility>
 
 #include <nlohmann/json.hpp>
@@ -129,13 +128,6 @@ std::string bytes_of(const idl::StormTopology& topology) {
 }
 
 }  // namespace
-
-namespace idl {
-/// Orders the keys of ComponentCommon::inputs; Thrift only declares it.
-bool GlobalStreamId::operator<(const GlobalStreamId& other) const {
-  return std::tie(componentId, streamId) < std::tie(other.componentId, other.streamId);
-}
-}  // namespace idl
 
 std::string to_storm(const TopologyDefinition& definition, const Topology& topology) {
   const auto births = streams_with_births(definition, topology);
