@@ -282,6 +282,52 @@ TEST_F(SpoutUnitsTest, AUnitWithoutChannelsIsReadForAsLongAsMessagesComeOrAreSet
   EXPECT_THAT(look(SpoutUnits::look_period), SizeIs(1));
 }
 
+/// Two drivers stop at once. When the first is gone, the other worker gives the second one's unit to this one, and when
+/// the second is gone, too, this worker does not lead the unit yet.
+TEST_F(SpoutUnitsTest, AUnitThatEndsOnItsWayFromAnotherWorkerIsReadToItsEndHere) {
+  units_.set_sharers({{"me", 2}});
+  add("a");
+  units_.share_out();
+  remove("a");
+  EXPECT_THAT(look(SpoutUnits::stuck_limit), IsEmpty());
+  EXPECT_THAT(runs_for_, ElementsAre("a"));
+  units_.on_elected("a");
+  EXPECT_THAT(broker_->topics(), ElementsAre("a"));
+  broker_->deliver("a");
+  EXPECT_THAT(look(2 * SpoutUnits::end_silence), IsEmpty());
+  settle_all();
+  const auto ended = look(2 * SpoutUnits::end_silence);
+  ASSERT_THAT(ended, SizeIs(1));
+  EXPECT_EQ(ended[0].instance.str(), "a");
+  units_.take_resigned();
+  EXPECT_THAT(runs_for_, IsEmpty());
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+}
+
+TEST_F(SpoutUnitsTest, AUnitThatEndsAndIsNeverLedHereIsNoLongerRunForInTheEnd) {
+  units_.set_sharers({{"me", 2}});
+  add("a");
+  units_.share_out();
+  remove("a");
+  EXPECT_THAT(look(SpoutUnits::longest_end + SpoutUnits::end_silence), IsEmpty());
+  EXPECT_THAT(runs_for_, IsEmpty());
+  EXPECT_FALSE(units_.needs_look());
+}
+
+TEST_F(SpoutUnitsTest, AnInstanceThatIsBackBeforeItsUnitIsLedHereIsReadAsBefore) {
+  units_.set_sharers({{"me", 2}});
+  add("a");
+  units_.share_out();
+  remove("a");
+  add("a");
+  units_.share_out();
+  EXPECT_THAT(units_.take_resigned(), IsEmpty());
+  EXPECT_THAT(runs_for_, ElementsAre("a"));
+  units_.on_elected("a");
+  EXPECT_EQ(units_.read_here(), 1U);
+  EXPECT_FALSE(units_.needs_look());
+}
+
 TEST_F(SpoutUnitsTest, AUnitWhoseMessagesAreNotSettledIsGivenUpWhenItIsIdleForSoLong) {
   read_alone({"a"});
   broker_->deliver("a");

@@ -31,7 +31,7 @@ void SpoutUnits::remove(const std::string& name, const discovery::InstanceId& in
     if (unit.task >= 0) read(unit);
     return;
   }
-  if (end == End::when_silent && unit.task >= 0) {
+  if (end == End::when_silent && unit.candidacy) {
     read_to_the_end(name);
   } else {
     release(name, unit);
@@ -46,7 +46,9 @@ void SpoutUnits::undeployed(const discovery::InstanceId& instance) {
   }
 }
 
-/// The last channel of a unit that is read here is gone: the unit leaves the placement, and is read to its end.
+/// The last channel of a unit is gone: the unit leaves the placement, and is read to its end. If another worker still
+/// leads it, that begins with this worker's election: the other one was about to give the unit up, and may have left
+/// messages.
 void SpoutUnits::read_to_the_end(const std::string& name) {
   Unit& unit = units_.at(name);
   if (std::exchange(unit.move, Move::none) != Move::none) {  // its readers take nothing any more
@@ -58,22 +60,36 @@ void SpoutUnits::read_to_the_end(const std::string& name) {
     unit.topic = channel.topic;
   }
   unit.undeployed = false;
+  unit.looks_left = static_cast<int>(longest_end / look_period);
+  if (unit.task >= 0) {
+    loads_.remove(static_cast<std::size_t>(unit.task), unit.kind);
+    ++changes_.given_up;
+    begin_end(unit);
+  }
+  ending_.insert(units_.extract(name));
+}
+
+/// From now on the unit has readers, which are open, and no channels.
+void SpoutUnits::begin_end(Unit& unit) {
   unit.channels.clear();
-  loads_.remove(static_cast<std::size_t>(unit.task), unit.kind);
   unit.last_task = std::exchange(unit.task, -1);
   unit.looks_left = static_cast<int>(longest_end / look_period);
   unit.idle_looks = 0;
   unit.taken = unit.readers.taken();
   unit.in_hand = unit.readers.in_hand();
-  ++changes_.given_up;
-  ending_.insert(units_.extract(name));
 }
 
-/// A channel of a unit that is being read to its end is back: the unit is read as before, without an interruption.
+/// A channel of a unit that ends is back: the unit is read, or run for, as before, without an interruption.
 void SpoutUnits::begin_again(const std::string& name) {
   const auto ending = ending_.find(name);
   if (ending == ending_.end()) return;
   Unit& unit = ending->second;
+  if (unit.waits_for_election()) {
+    unit.channels.clear();
+    units_.insert(ending_.extract(ending));
+    needs_sharing_ = true;
+    return;
+  }
   if (!unit.leads || unit.frozen) {
     release(name, unit);
     ending_.erase(ending);
@@ -138,6 +154,14 @@ void SpoutUnits::balance() {
 }
 
 void SpoutUnits::on_elected(const std::string& name) {
+  if (const auto ending = ending_.find(name); ending != ending_.end() && ending->second.waits_for_election()) {
+    Unit& unit = ending->second;
+    unit.leads = true;
+    unit.task = static_cast<int>(loads_.idlest(unit.kind));
+    read(unit);
+    begin_end(unit);
+    return;
+  }
   const auto found = units_.find(name);
   if (found == units_.end()) return;
   Unit& unit = found->second;
@@ -268,6 +292,15 @@ std::vector<SpoutUnits::EndedTopic> SpoutUnits::look_at_ends() {
   std::vector<EndedTopic> ended;
   for (auto place = ending_.begin(); place != ending_.end();) {
     auto& [name, unit] = *place;
+    if (unit.waits_for_election()) {
+      if (unit.looks_left-- > 0) {
+        ++place;
+      } else {
+        release(name, unit);
+        place = ending_.erase(place);
+      }
+      continue;
+    }
     const std::size_t taken = unit.readers.taken(), in_hand = unit.readers.in_hand();
     const bool nothing_came = std::exchange(unit.taken, taken) == taken;
     const bool nothing_settled = std::exchange(unit.in_hand, in_hand) == in_hand;

@@ -36,7 +36,8 @@ class SpoutUnits {
   /// `stuck_limit` with messages in hand, it is given up. Time in which messages come or are settled does not count
   /// (what the driver had sent may be hours of messages), nor does time in which its broker is away. Nobody waits for
   /// this: the order to stop an instance is answered without it, and close() ends it when the worker is stopped. A unit
-  /// is given up after `longest_end` in any case. What is given up stays at the broker for the instance's next life.
+  /// is given up after `longest_end` in any case. What is given up stays at the broker for the instance's next life. A
+  /// unit that was about to come here from another worker is read to its end, too, once this worker leads it.
   static constexpr std::chrono::milliseconds end_silence{1000}, stuck_limit{30'000};
   static constexpr std::chrono::minutes longest_end{60};
 
@@ -158,6 +159,9 @@ class SpoutUnits {
     std::size_t taken = 0;                  ///< UnitReaders::taken() at the last look
     std::size_t in_hand = 0;                ///< UnitReaders::in_hand() at the last look
     UnitReaders readers;
+
+    /// Of a unit that ends: whether another worker still leads it, so that it is not read here yet.
+    bool waits_for_election() const { return !channels.empty(); }
   };
 
   bool alone() const { return sharers_.size() == 1 && sharers_.front().worker == options_.worker; }
@@ -166,6 +170,7 @@ class SpoutUnits {
   void look_at_moves();
   std::vector<EndedTopic> look_at_ends();
   void read_to_the_end(const std::string& name);
+  void begin_end(Unit& unit);
   void begin_again(const std::string& name);
   void release(const std::string& name, Unit& unit);
   void stop_reading(const std::string& name, Unit& unit);
@@ -175,7 +180,7 @@ class SpoutUnits {
   std::vector<Sharer> sharers_;  ///< empty: not known yet
   std::size_t reader_count_ = 0;
   std::map<std::string, Unit> units_;
-  std::map<std::string, Unit> ending_;  ///< without channels, read to their end
+  std::map<std::string, Unit> ending_;  ///< of channels that are gone: read to their end
   std::set<std::string> moving_;        ///< names of units that move
   std::string asked_last_;              ///< the unit for which ask_backlog() asked last
   TaskLoads loads_;
