@@ -13,7 +13,7 @@ ARG BINARIES=build
 FROM ${BUILD_BASE} AS build
 RUN apt-get update && apt-get install -y --no-install-recommends \
       g++ lld cmake ninja-build pkg-config \
-      librabbitmq-dev librdkafka-dev libqpid-proton-cpp12-dev libzookeeper-mt-dev libthrift-dev thrift-compiler \
+      librabbitmq-dev librdkafka-dev libqpid-proton11-dev libzookeeper-mt-dev libthrift-dev thrift-compiler \
       libyaml-cpp-dev libsnappy-dev libboost-dev librocksdb-dev libhiredis-dev libspdlog-dev libfmt-dev libcli11-dev \
       prometheus-cpp-dev nlohmann-json3-dev libssl-dev zlib1g-dev libfreenect-dev libpng-dev libsystemd-dev libseccomp-dev libzip-dev \
       libroscpp-dev libgeometry-msgs-dev libnav-msgs-dev libsensor-msgs-dev
