@@ -19,7 +19,7 @@ namespace {
 
 const std::string place = "/iot/gateways/lab1/orders/01";
 
-/// A folder for the files of keys, which are read only once.
+/// A folder for the files of keys, which are trusted for as long as they are there.
 struct Folder {
   Folder() {
     std::string pattern = std::filesystem::temp_directory_path() / "iotcloud-fuzz-XXXXXX";
@@ -36,14 +36,13 @@ struct Folder {
 
 /// A master's key, and those who trust it.
 struct Master {
-  explicit Master(const Folder& folder)
-      : signer(folder.path, "master"), trusted({.require_signature = true, .trusted_keys = {signer.public_file()}}) {}
-  const security::test::Signer signer;
-  const security::TrustedKeys trusted;
+  const Folder folder;
+  const security::test::Signer signer{folder.path, "master"};
+  const security::TrustedKeys trusted{{.require_signature = true, .trusted_keys = {signer.public_file()}}};
 };
 
 const Master& the_master() {
-  static const Master one{Folder()};
+  static const Master one;
   return one;
 }
 
