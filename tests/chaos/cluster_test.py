@@ -25,13 +25,17 @@ class InAFolder(unittest.TestCase):
         self.addCleanup(holder.cleanup)
         self.folder = Path(holder.name)
 
-
-class AnEndedCluster(InAFolder):
-    def test_has_the_files_of_its_small_disks_and_their_crashes_are_found(self):
+    def cluster(self):
+        """A cluster of which nothing runs."""
         plugins = self.folder / "build/chaos/plugins"
         plugins.mkdir(parents=True)
         (plugins / "chaos_ledger_driver.so").touch()
-        ended = cluster.ChaosCluster(self.folder / "build", self.folder / "out")
+        return cluster.ChaosCluster(self.folder / "build", self.folder / "out")
+
+
+class AnEndedCluster(InAFolder):
+    def test_has_the_files_of_its_small_disks_and_their_crashes_are_found(self):
+        ended = self.cluster()
         disk = ended.out / "state/gateway-1"
         (disk / "spool").mkdir(parents=True)
         (disk / "spool/mark").write_text("7")
@@ -51,10 +55,7 @@ class AnEndedCluster(InAFolder):
 
 class ABroker(InAFolder):
     def test_was_away_from_when_it_was_killed_until_it_was_started_again_each_time(self):
-        plugins = self.folder / "build/chaos/plugins"
-        plugins.mkdir(parents=True)
-        (plugins / "chaos_ledger_driver.so").touch()
-        one = cluster.ChaosCluster(self.folder / "build", self.folder / "out")
+        one = self.cluster()
         moments = iter([1.0, 2.0, 5.0])
         with mock.patch.object(cluster.time, "monotonic", lambda: next(moments)):
             one.broker_was_killed()
