@@ -69,15 +69,23 @@ struct EventLoop::Impl : std::enable_shared_from_this<EventLoop::Impl> {
   std::unordered_map<HandlerId, std::shared_ptr<Handler>> handlers;  ///< used on the loop's thread only
   std::thread thread;
   std::atomic<std::uint64_t> serving{0};
+  std::atomic<std::uint64_t> ended{0};  ///< number of callbacks so far; counted on the loop's thread only
   std::atomic<bool> probe_out{false};
-  std::atomic<Steady::rep> probe_sent{0};
+  std::atomic<std::uint64_t> ended_before{0};  ///< `ended` at `no_end_since`
+  std::atomic<Steady::rep> no_end_since{0};
+
+  /// Runs a callback of the loop's user.
+  void run(const std::function<void()>& callback) noexcept {
+    guarded(callback);
+    ended.store(ended.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
+  }
 
   void wait_timer(HandlerId id, const std::shared_ptr<Timer>& timer) {
     timer->timer.expires_at(timer->intended);
     timer->timer.async_wait([this, id, timer](const boost::system::error_code&) {
       if (timer->stopped) return;
       if (timer->period.count() == 0) handlers.erase(id);
-      guarded(timer->callback);
+      run(timer->callback);
       if (timer->stopped || timer->period.count() == 0) return;
       timer->intended += timer->period;
       const auto behind = Steady::now() - timer->intended;
@@ -97,7 +105,7 @@ struct EventLoop::Impl : std::enable_shared_from_this<EventLoop::Impl> {
         loop_logger.warn("a descriptor is not watched any more: {}", error.message());
         return;
       }
-      guarded(watch->callback);
+      run(watch->callback);
       if (!watch->stopped) wait_descriptor(watch, for_writing);
     });
   }
@@ -132,7 +140,7 @@ void EventLoop::abandon() {
 }
 
 void EventLoop::post(std::function<void()> callback) {
-  asio::post(impl_->context, [callback = std::move(callback)] { guarded(callback); });
+  asio::post(impl_->context, [impl = impl_.get(), callback = std::move(callback)] { impl->run(callback); });
 }
 
 HandlerId EventLoop::new_handler() {
@@ -203,13 +211,14 @@ std::uint64_t EventLoop::serving() const {
 
 std::chrono::milliseconds EventLoop::stalled() {
   const auto now = Steady::now();
-  if (!impl_->probe_out.exchange(true)) {
-    impl_->probe_sent = now.time_since_epoch().count();
-    post([impl = impl_.get()] { impl->probe_out = false; });
-    return std::chrono::milliseconds{0};
-  }
+  const std::uint64_t ended = impl_->ended.load(std::memory_order_relaxed);
+  const bool answered = !impl_->probe_out.exchange(true);
+  // A loop with thousands of calls before the probe is busy, not stuck.
+  const bool goes_on = impl_->ended_before.exchange(ended) != ended;
+  if (answered || goes_on) impl_->no_end_since = now.time_since_epoch().count();
+  if (answered) post([impl = impl_.get()] { impl->probe_out = false; });
   return std::chrono::duration_cast<std::chrono::milliseconds>(now.time_since_epoch() -
-                                                               Steady::duration(impl_->probe_sent.load()));
+                                                               Steady::duration(impl_->no_end_since.load()));
 }
 
 }  // namespace iotcloud::gateway

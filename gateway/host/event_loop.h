@@ -43,8 +43,9 @@ class EventLoop {
   /// and are destroyed with the loop.
   void stop();
   bool on_this_thread() const;
-  /// How long the loop has been stuck in a callback; 0 if it has answered the last probe. Each call also posts the next
-  /// probe, so call it regularly.
+  /// How long the loop has been in one callback, as far as calls of this function have seen; 0 if it has answered the
+  /// last probe, or a callback has ended since the last call: a loop that is only busy is not stuck. Each call also
+  /// posts the next probe, so call it regularly.
   std::chrono::milliseconds stalled();
   /// While such an object lives on the loop's thread, serving() returns `whom`, so that other threads can tell whose
   /// callback is stuck.

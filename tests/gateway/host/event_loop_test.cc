@@ -109,6 +109,27 @@ TEST(EventLoop, ALoopThatIsStuckSaysSo) {
   EXPECT_EQ(loop.stalled(), 0ms);
 }
 
+TEST(EventLoop, ALoopThatIsBusyWithManyCallbacksIsNotStuck) {
+  EventLoop loop("test");
+  std::promise<void> begun, go_on, next, end;
+  loop.post([&] {
+    begun.set_value();
+    go_on.get_future().wait();
+  });
+  loop.post([&] {
+    next.set_value();
+    end.get_future().wait();
+  });
+  begun.get_future().wait();
+  loop.stalled();  // its probe stands behind the second callback
+  while (loop.stalled() < 20ms) std::this_thread::yield();
+  go_on.set_value();
+  next.get_future().wait();
+  EXPECT_EQ(loop.stalled(), 0ms) << "the first callback has ended, though the probe is not answered";
+  while (loop.stalled() == 0ms) std::this_thread::yield();
+  end.set_value();
+}
+
 TEST(EventLoop, ItMayBeDestroyedFromItsOwnCallback) {
   auto loop = std::make_unique<EventLoop>("test");
   std::promise<void> posted, gone;
