@@ -83,10 +83,6 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
                 pass  # it has ended since it was listed
         return 0
 
-    def record(self):
-        """What the master says of the gateway."""
-        return self.json("gateways")[0]
-
     def driver(self, name="loadgen"):
         found = [driver for driver in self.json("drivers") if driver["driver"] == name]
         return found[0] if found else {"state": "not there"}
@@ -154,12 +150,10 @@ def main():
         machine.cli("undeploy", machine.driver("confined")["instance"])
         wait_for("the probe's host has ended", lambda: not machine.hosts("confined.so"))
 
-        first_life = machine.record()["since_ms"]
+        first_life = machine.gateway_record("gateway-1")
         os.kill(gateway, signal.SIGKILL)
         wait_for("systemd starts the gateway again", lambda: machine.gateway() not in (0, gateway))
-        # The killed gateway's record lasts until its session ends: it counts as ready until then.
-        wait_for("the gateway's next life is ready", lambda: machine.record()["state"] == "ready"
-                 and machine.record()["since_ms"] > first_life)
+        machine.wait_for_next_life("gateway-1", first_life)
         machine.cli("stop", before["instance"])
         wait_for("the driver follows orders", lambda: machine.driver()["state"] == "inactive")
         require(machine.hosts() == hosts, f"host {hosts} did not outlive its gateway; now there are {machine.hosts()}")

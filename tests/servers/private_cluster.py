@@ -304,6 +304,20 @@ brokers:
             raise StartError(f"iotcloud {' '.join(map(str, words))}: {done.stderr.strip()}")
         return json.loads(done.stdout)
 
+    def gateway_record(self, name):
+        """What the master says of a gateway; empty when it does not list it."""
+        return next((gateway for gateway in self.json("gateways") if gateway["gateway"] == name), {})
+
+    def wait_for_next_life(self, name, former):
+        """Waits until a gateway that has ended is registered again: until then the record and the place of a killed one
+        count as ready, and an order that is given while they change hands finds it lost. `former`: its gateway_record() of
+        before."""
+        def is_there():
+            now = self.gateway_record(name)
+            return now.get("state") == "ready" and now["since_ms"] > former["since_ms"]
+
+        wait_for(f"{name} is registered again", is_there)
+
     def hosts_of(self, gateway):
         """Process ids of a gateway's driver hosts."""
         found = []

@@ -57,9 +57,11 @@ def check_apply(fleet, work):
 def check_drain(fleet, ids, manifest):
     fleet.cli("drain", "gateway-1")
     require(fleet.instances(gateway="gateway-1", state="active") == [], "something runs on a drained gateway")
+    former = fleet.gateway_record("gateway-1")
     for name in ("gateway-1", "master"):
         fleet.end(name, signal.SIGKILL)
         fleet.again(name)
+    fleet.wait_for_next_life("gateway-1", former)
     fleet.wait_until_ready()
     require([gateway["draining"] for gateway in fleet.json("gateways")] == [True, False], "it drains no longer")
     wait_for("the instances are there again, and wait", lambda: fleet.instances(name="meter", state="inactive") == ids)

@@ -46,6 +46,13 @@ class Fleet(PrivateCluster):
     def drivers(self):
         return {driver["instance"]: driver for driver in self.json("drivers")}
 
+    def start_anew(self, gateway):
+        """Ends a gateway in order, and starts it with what its file says now."""
+        former = self.gateway_record(gateway)
+        self.end(gateway, signal.SIGTERM)
+        self.again(gateway)
+        self.wait_for_next_life(gateway, former)
+
     def all_run(self, file, instances):
         drivers = self.drivers()
         require(set(drivers) == set(instances), f"the instances are others: {drivers}")
@@ -100,9 +107,7 @@ def check_later_failure(fleet, plugins, instances, second):
     (damaged / name).write_bytes(b"this is no library")
     file = fleet.out / "gateway-2.yaml"
     file.write_text(file.read_text().replace(f'plugins: "{fleet.plugins}"', f'plugins: "{damaged}"'))
-    fleet.end("gateway-2", signal.SIGTERM)
-    fleet.again("gateway-2")
-    fleet.wait_until_ready()
+    fleet.start_anew("gateway-2")
     begun = time.monotonic()
     outcomes = fleet.answer("update", "--plugin", name, "--all")["outcomes"]
     took = time.monotonic() - begun
@@ -191,9 +196,7 @@ def check_signatures(fleet, plugins):
     name = "gateway-2"
     file = fleet.out / f"{name}.yaml"
     file.write_text(file.read_text() + f'plugins.require_signature: true\nplugins.trusted_keys: ["{key}.pub"]\n')
-    fleet.end(name, signal.SIGTERM)
-    fleet.again(name)
-    fleet.wait_until_ready()
+    fleet.start_anew(name)
     third = plugins.version("three")
     done = fleet.run_cli("deploy", "--plugin", third, "--gateway", name, "--property", "rate=5")
     require(done.returncode == 1 and "is not signed" in done.stdout, done)

@@ -169,10 +169,11 @@ def kill_each(robot, host):
     robot.order("rabbitmq", "start", "READY")
 
     robot.set_out()
+    former = robot.gateway_record("gateway-1")
     robot.end("gateway-1", signal.SIGKILL)
     robot.must_go_on("the gateway")
-    robot.again("gateway-1")  # it adopts the driver host
-    robot.wait_until_ready()
+    robot.again("gateway-1")
+    robot.wait_for_next_life("gateway-1", former)  # it adopts the driver host before
 
     robot.set_out()
     end_process(host)
