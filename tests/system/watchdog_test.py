@@ -56,6 +56,10 @@ class Track:
         row = self.newest()
         return row["linear"] == 0 and row["angular"] == 0
 
+    def is_told_to_be_still(self):
+        row = self.newest()
+        return row["asked_linear"] == row["asked_angular"] == 0
+
     def commands(self):
         """The rows in which a command came."""
         rows = self.rows()
@@ -115,6 +119,8 @@ class Robot(PrivateCluster):
 
     def must_stop(self, what):
         """Checks that the driver stops the base after its last command, and that the base stops."""
+        # Where the driver gets no CPU for a while, the base stops by itself before it is told to.
+        wait_for(f"the robot is told to be still after {what} was killed", self.track.is_told_to_be_still)
         wait_for(f"the robot stands still after {what} was killed", self.track.is_still)
         last, halt = self.track.commands()[-2:]
         require(halt["asked_linear"] == halt["asked_angular"] == 0, f"the last command is none to be still: {halt}")
