@@ -115,7 +115,8 @@ def main():
     work = build / "driver-history-test"
     shutil.rmtree(work, ignore_errors=True)
     with Fleet(work, build / "bin", build / "plugins") as fleet:
-        fleet.start(gateways=2)
+        # A gateway that is frozen for a moment is not to be lost: orders would not wait for it.
+        fleet.start(gateways=2, more="registry.session_timeout: 60s")
         fleet.wait_until_ready()
         instance, other = fleet.deploy("gateway-1"), fleet.deploy("gateway-2")
         check_crash(fleet, instance)
