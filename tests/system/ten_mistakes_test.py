@@ -38,7 +38,7 @@ class Watched:
         for line in self.child.stdout:
             self.lines.append((time.monotonic() - self.begun, line.rstrip("\n")))
 
-    def first(self, pattern, longest=30):
+    def first(self, pattern, longest=120):
         """Waits for a line that matches. Returns when it came, and the line."""
         deadline = time.monotonic() + longest
         while time.monotonic() < deadline:
@@ -213,7 +213,8 @@ def main():
     work = build / "ten-mistakes-test"
     shutil.rmtree(work, ignore_errors=True)
     with PrivateCluster(work, build / "bin", build / "plugins") as system:
-        system.start(gateways=1)
+        # It is frozen while an order is given, and is not to be lost meanwhile: the order would not wait for it.
+        system.start(gateways=1, more="registry.session_timeout: 60s")
         system.wait_until_ready()
         mistakes = Mistakes(system, build, work, limit)
         answer = system.json("deploy", "loadgen.so", "--gateway", "gateway-1", "--property", "rate=20")
