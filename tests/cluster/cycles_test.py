@@ -85,8 +85,12 @@ def main():
             gateway["state"] for gateway in json.loads(cluster.cli("gateways", "-o", "json"))] == ["ready"])
         cluster.deploy("loadgen.so", "gateway-1", {"rate": 1})
         processes = {name: child.pid for name, child in cluster.children if name in ("master", "gateway-1")}
-        wait_for("the host runs", lambda: host_process(processes["gateway-1"]))
-        processes["driver host"] = host_process(processes["gateway-1"])
+
+        def host_runs():
+            processes["driver host"] = host_process(processes["gateway-1"])
+            return processes["driver host"]
+
+        wait_for("the host runs", host_runs)
         samples = {name: [] for name in processes}
 
         def only_the_host_that_stays():

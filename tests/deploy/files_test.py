@@ -84,7 +84,13 @@ class Machine(BootedCluster):
     def main_process(self, unit):
         """Process id of a unit's daemon as this test sees it; 0: it does not run."""
         inside = self.systemctl("show", unit, "--property=MainPID").stdout.strip().removeprefix("MainPID=")
-        return next((process for process in self.descendants() if inside != "0" and status_of(process, "NSpid")[-1] == inside), 0)
+        for process in self.descendants():
+            try:
+                if inside != "0" and status_of(process, "NSpid")[-1] == inside:
+                    return process
+            except OSError:
+                pass  # it has ended since it was listed
+        return 0
 
     def reads(self, user, file):
         """Whether a daemon of this user, with the groups that its unit gives it, may read a file."""
