@@ -111,7 +111,7 @@ def main():
         fleet.all_hear("after another one")
 
         fleet.add(FIRST, "others", OTHERS)
-        require(len(fleet.hosts_of("gateway-1")) == 2, f"the hosts are {fleet.hosts_of('gateway-1')}")
+        wait_for("the gateway has two hosts", lambda: len(fleet.hosts_of("gateway-1")) == 2)
         fleet.all_hear("with two hosts of one driver")
         fleet.count("a gateway had two hosts of one driver")
 
@@ -130,7 +130,7 @@ def main():
             return not wrong
 
         try:
-            wait_for("all commands came, in order", all_is_well, 90)
+            wait_for("all commands came, in order", all_is_well)
         finally:
             for text in wrong:
                 print(text)

@@ -45,7 +45,7 @@ class Store:
     def value(self, key):
         words = [b"HGET", b"iotcloud:state:1:echo:between:" + key.encode(), b"v"]
         request = b"*%d\r\n" % len(words) + b"".join(b"$%d\r\n%s\r\n" % (len(word), word) for word in words)
-        with socket.create_connection(self.address, timeout=10) as connection:
+        with socket.create_connection(self.address, timeout=60) as connection:
             connection.sendall(request)
             with connection.makefile("rb") as answer:
                 size = int(answer.readline()[1:])
@@ -136,8 +136,8 @@ def main():
             return [store.value("count of " + instance) for instance in instances]
 
         print("no more faults; waiting until every message is counted", flush=True)
-        wait_for("every message is counted", lambda: sum(counts()) >= DRIVERS * count, given.seconds + 90)
-        totals = cluster.totals(60)
+        wait_for("every message is counted", lambda: sum(counts()) >= DRIVERS * count, given.seconds + 180)
+        totals = cluster.totals(120)
         found, again = counts(), sum(store.value("again of " + instance) for instance in instances)
         cluster.require_alive()
     print(", ".join(f"{number} x {kind}" for kind, number in faults.done.items()))

@@ -25,7 +25,7 @@ import figures  # noqa: E402
 import private_server  # noqa: E402
 import versions  # noqa: E402
 from java_programs import build  # noqa: E402
-from private_cluster import PrivateCluster, Unavailable, require, result_of, wait_for  # noqa: E402
+from private_cluster import PATIENT_STOP, PrivateCluster, Unavailable, require, result_of, wait_for  # noqa: E402
 
 COUNT = 300
 SKIPPED = 77
@@ -142,7 +142,7 @@ def run(work, build_dir, plugins, class_path):
         kafka, rabbitmq = cluster.server("kafka"), cluster.server("rabbitmq").rstrip("/")
         cluster.start(gateways=1, brokers=[f'rabbitmq: {{type: rabbitmq, urls: ["{rabbitmq}"]}}',
                                            f'kafka: {{type: kafka, urls: ["{kafka}"]}}'])
-        cluster.topology("answers", topology_yaml(cluster.out, plugins / "tally_bolt.so"))
+        cluster.topology("answers", topology_yaml(cluster.out, plugins / "tally_bolt.so"), PATIENT_STOP)
         java = JavaPrograms(cluster, class_path)
         zookeeper = cluster.zookeeper.removeprefix("zookeeper://")
         servers = {RABBITMQ: (zookeeper, "rabbitmq", rabbitmq), KAFKA: (zookeeper, "kafka", kafka)}

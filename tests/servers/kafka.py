@@ -53,6 +53,7 @@ ALL, WRITE = 2, 4
 DENY, ALLOW = 2, 3
 CLUSTER = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", "deploy", "cluster"))
 PASSWORD_OF_USERS = "sesame"
+RULES_LIMIT_S = 120
 
 
 class Kafka(private_server.Server):
@@ -248,7 +249,7 @@ class Kafka(private_server.Server):
     def administer(self, request, body):
         """A request that changes rules; raises RuntimeError when one of them is refused."""
         with self.connect(self.port) as probe:
-            probe.settimeout(10)
+            probe.settimeout(RULES_LIMIT_S)
             answer = Answer(self.ask(probe, request, 1, body))
         answer.number("i")  # throttled so long
         for _ in range(answer.number("i")):
@@ -260,10 +261,10 @@ class Kafka(private_server.Server):
 
     def wait_for_rules(self, wanted):
         """Waits until the node obeys rules about topics, or none."""
-        limit = time.monotonic() + 30
+        limit = time.monotonic() + RULES_LIMIT_S
         while True:
             with self.connect(self.port) as probe:
-                probe.settimeout(10)
+                probe.settimeout(RULES_LIMIT_S)
                 answer = Answer(self.ask(probe, DESCRIBE_ACLS, 1, ALL_TOPIC_RULES))
             answer.number("i"), answer.number("h"), answer.text()
             if (answer.number("i") > 0) == wanted:
@@ -286,7 +287,11 @@ class Kafka(private_server.Server):
         head = answers.read(4)
         if len(head) < 4:
             raise ConnectionError("the node closed the connection")
-        return answers.read(struct.unpack(">i", head)[0])[4:]
+        size, = struct.unpack(">i", head)
+        answer = answers.read(size)
+        if len(answer) < size:
+            raise ConnectionError("the node closed the connection in the middle of an answer")
+        return answer[4:]
 
 
 class Answer:

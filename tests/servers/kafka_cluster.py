@@ -32,7 +32,7 @@ import nodes
 import private_server
 
 SMALL = ["-Xms64m", "-Xmx256m", *private_server.SMALL_JVM]
-LEADER_LIMIT_S = 30
+LEADER_LIMIT_S = 120
 
 
 class KafkaCluster(nodes.Nodes):

@@ -32,7 +32,7 @@ import certificates
 import private_server
 
 RIGHTS = "~iotcloud:state:* +eval +hset +hget +hmget +hdel +pexpire +persist +info"
-FOLLOW_LIMIT_S = 30
+FOLLOW_LIMIT_S = 120
 
 
 class Redis(private_server.Server):
@@ -66,7 +66,7 @@ class Redis(private_server.Server):
     def ask(self, line):
         """The first line of the answer to an inline command, or all of INFO's."""
         with self.connect(self.port) as connection:
-            connection.settimeout(5)
+            connection.settimeout(60)
             connection.sendall(line.encode() + b"\r\n")
             with connection.makefile("rb") as answers:
                 first = answers.readline().decode().strip()

@@ -27,7 +27,7 @@ import nodes
 import private_server
 import zookeeper
 
-LEADER_LIMIT_S = 60
+LEADER_LIMIT_S = 120
 
 
 class ZooKeeperCluster(nodes.Nodes):

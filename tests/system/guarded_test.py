@@ -188,7 +188,7 @@ class Pieces:
         shown = {"certfile": str(certs / f"{certificate}.pem"), "keyfile": str(certs / f"{certificate}.key")}
         socket = TSSLSocket.TSSLSocket("localhost", cluster.thrift_ports["gateway-1"], ca_certs=str(certs / "ca.pem"),
                                        **(shown if certificate else {}))
-        socket.setTimeout(10_000)
+        socket.setTimeout(60_000)
         self.transport = TTransport.TFramedTransport(socket)
         self.client = TSensorSiteService.Client(TBinaryProtocol.TBinaryProtocol(self.transport))
 

@@ -97,7 +97,7 @@ def run(work, build):
         for kind, report in reports.items():
             cluster.deploy("loadgen.so", "gateway-1", {
                 "count": COUNT, "rate": RATE, "report": report, "broker": f"my_{kind}", "shared": str(kind == "kafka").lower()})
-        wait_for("every driver has everything back", lambda: all(map(result_of, reports.values())), 90)
+        wait_for("every driver has everything back", lambda: all(map(result_of, reports.values())), 180)
         connectors = [int(comm.parent.name) for comm in Path("/proc").glob("[0-9]*/comm")
                       if said(comm) == "connector\n" and str(work) in said(comm.parent / "cmdline")]
         if len(connectors) != 1:
