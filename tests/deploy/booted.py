@@ -145,7 +145,7 @@ class BootedCluster(PrivateCluster):
     def inside(self, *words):
         """Runs a command in systemd's spaces of mounts and processes."""
         return subprocess.run(["nsenter", "--target", str(self.first()), "--mount", "--pid", *words], capture_output=True,
-                              text=True, timeout=60, check=False, env={"PATH": "/usr/bin:/bin"})
+                              text=True, timeout=300, check=False, env={"PATH": "/usr/bin:/bin"})
 
     def systemctl(self, *words):
         return self.inside("systemctl", *words)

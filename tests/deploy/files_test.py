@@ -71,7 +71,7 @@ class Machine(BootedCluster):
         self.other_end = self.spawn("registry-tls", ["/usr/bin/stunnel4", self.out / "registry-tls.conf"])
 
     def tool(self, *words):
-        return subprocess.run([self.bin / "iotcloud", *words], check=True, capture_output=True, text=True, timeout=60).stdout
+        return subprocess.run([self.bin / "iotcloud", *words], check=True, capture_output=True, text=True, timeout=120).stdout
 
     def command(self, *words):
         own = ["--ca", self.certs / "ca.pem", "--certificate", self.certs / "operator.pem", "--key", self.certs / "operator.key"]
@@ -103,7 +103,7 @@ class Machine(BootedCluster):
         """A connection by a certificate that lab2 has."""
         context = ssl.create_default_context(cafile=self.certs / "ca.pem")
         context.load_cert_chain(self.certs / f"{certificate}.pem", self.certs / f"{certificate}.key")
-        return context.wrap_socket(socket.create_connection(("127.0.0.1", port), timeout=60), server_hostname="localhost")
+        return context.wrap_socket(socket.create_connection(("127.0.0.1", port), timeout=120), server_hostname="localhost")
 
     def reaches_registry(self):
         """Whether ZooKeeper greets whoever has the certificate of lab2's tunnel."""
@@ -118,7 +118,7 @@ class Machine(BootedCluster):
         """That of the certificate that the master shows."""
         context = ssl.create_default_context(cafile=self.certs / "ca.pem")
         context.load_cert_chain(self.certs / "operator.pem", self.certs / "operator.key")
-        with socket.create_connection(("127.0.0.1", self.api_port), timeout=30) as plain, \
+        with socket.create_connection(("127.0.0.1", self.api_port), timeout=120) as plain, \
                 context.wrap_socket(plain, server_hostname="127.0.0.1") as client:
             return client.getpeercert()["serialNumber"]
 
@@ -130,7 +130,7 @@ def check_work(machine):
     # The gateway follows only an order that is signed, and runs only a plugin that is.
     machine.deploy("loadgen.so", "gateway-1", {"rate": "1"})
     wait_for("the driver is active", lambda: machine.json("drivers")[0]["state"] == "active")
-    with socket.create_connection(("127.0.0.1", machine.tunnel_port), timeout=30) as registry:
+    with socket.create_connection(("127.0.0.1", machine.tunnel_port), timeout=120) as registry:
         registry.sendall(b"srvr")
         require(b"Mode: " in registry.makefile("rb").read(), "the tunnel does not lead to the registry")
     # The gateway and the worker show these to the master, whose tokens they know.
@@ -190,7 +190,7 @@ def check_stolen(machine, here, at_broker, on_lab1):
     as_thief = [str(word).replace("operator.", "lab2-gateway.") for word in machine.command("gateways")]
 
     def refusal():
-        done = subprocess.run(as_thief, capture_output=True, text=True, timeout=60, check=False)
+        done = subprocess.run(as_thief, capture_output=True, text=True, timeout=120, check=False)
         require(done.returncode != 0, "a person's token counts with the thief's certificate")
         return done.stderr
 

@@ -56,7 +56,7 @@ for word in "$@" "$(case $1 in add_user) cat;; esac)"; do printf '%s\\0' "$word"
 printf '\\n' >> {shlex.quote(str(folder / 'rabbitmq'))}
 """)
     (own / "rabbitmqctl").chmod(0o755)
-    done = subprocess.run(["/bin/sh", "-e", "-c", script], cwd=folder, capture_output=True, text=True, timeout=120, check=False,
+    done = subprocess.run(["/bin/sh", "-e", "-c", script], cwd=folder, capture_output=True, text=True, timeout=300, check=False,
                           env={"PATH": f"{own}:{programs}:/usr/bin:/bin"})
     if done.returncode:
         raise RuntimeError(f"the page's commands fail: {done.stderr}")
