@@ -72,6 +72,13 @@ worker_restart: {{first: 100ms, give_up_after: 3}}
             return []
         return [(place["pool"], place["version"]) for place in shown["places"] if place["state"] == "running"]
 
+    def require_places(self, *expected):
+        """After an answer that they run: the pools say so already, the workers may come to the registry a moment later."""
+        shown = self.show()
+        running = [(place["pool"], place["version"]) for place in shown["places"] if place["state"] == "running"]
+        require(sorted(running) == sorted(expected), shown)
+        wait_for(f"the workers of {expected} are listed", lambda: sorted(self.places()) == sorted(expected))
+
     def worker_of(self, pool):
         """Process ids of a pool's workers."""
         shown = self.show()
@@ -110,7 +117,7 @@ def submit(pools):
     begun = time.monotonic()
     pools.cli("topology", "submit", file, "--workers", "2")
     took = time.monotonic() - begun
-    require(sorted(pools.places()) == [("pool-1", 2), ("pool-2", 2)], pools.show())
+    pools.require_places(("pool-1", 2), ("pool-2", 2))
     text = pools.refused("submit", file)
     require("submitted already" in text, text)
     print(f"submit to running: {took:.2f} s, 2 workers in 2 pools")
@@ -122,9 +129,9 @@ def check_update(pools):
     begun = time.monotonic()
     pools.cli("topology", "update", pools.out / "topologies" / "echo.yaml")
     print(f"updated 2 workers, one after the other, in {time.monotonic() - begun:.2f} s")
-    require(sorted(pools.places()) == [("pool-1", 3), ("pool-2", 3)], pools.show())
+    pools.require_places(("pool-1", 3), ("pool-2", 3))
     pools.cli("topology", "rollback", "echo")
-    require(sorted(pools.places()) == [("pool-1", 2), ("pool-2", 2)], pools.show())
+    pools.require_places(("pool-1", 2), ("pool-2", 2))
     text = pools.refused("update", pools.file("unable.yaml", topology(fail_at="prepare")))
     require("as the conf says" in text and "back on version 2" in text, text)
     wait_for("both run the version before again", lambda: sorted(pools.places()) == [("pool-1", 2), ("pool-2", 2)])
@@ -188,7 +195,7 @@ def check_kill(pools):
     require(pools.json("topology", "list") == [], "it is still there")
     wait_for("no pool has a place", lambda: all(not pool["places"] for pool in pools.json("topology", "pools")))
     pools.cli("topology", "submit", pools.out / "topologies" / "echo.yaml")  # the name is free again
-    require(len(pools.places()) == 1, pools.show())
+    wait_for("its worker is listed", lambda: len(pools.places()) == 1)
     pools.cli("topology", "kill", "echo")
 
 
