@@ -185,7 +185,7 @@ endfunction()
 # A test that runs a command, mostly a Python script.
 #   iotcloud_command_test(NAME name COMMAND words... LABELS unit [NEEDS targets] [TIMEOUT 300] [COST 10] [ENVIRONMENT A=b]
 #                         [MISSING what])
-# With MISSING, and a text after it, the test is left out.
+# With MISSING, and a text after it, the test is left out. A system test has twice the time without a TIMEOUT.
 function(iotcloud_command_test)
   cmake_parse_arguments(arg "" "NAME;TIMEOUT;COST;WORKING_DIRECTORY;MISSING" "COMMAND;LABELS;NEEDS;ENVIRONMENT" ${ARGN})
   if(arg_MISSING)
@@ -194,6 +194,9 @@ function(iotcloud_command_test)
   endif()
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 300)
+    if(arg_LABELS MATCHES "^system")  # many programs, one after the other
+      set(arg_TIMEOUT 600)
+    endif()
   endif()
   _iotcloud_test_labels(labels LABELS ${arg_LABELS})
   list(JOIN labels "," told)
