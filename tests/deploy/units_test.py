@@ -71,6 +71,26 @@ class Units(unittest.TestCase):
                  if line.startswith(("User=", "SocketUser=", "SupplementaryGroups=iotcloud"))}
         self.assertEqual(named, made)
 
+    def set_of_calls(self, name):
+        """The system calls of a word of SystemCallFilter: a call, or a set, with the sets in it."""
+        if not name.startswith("@"):
+            return {name}
+        listed = self.analyze("syscall-filter", name).stdout.splitlines()
+        words = [line.split()[0] for line in listed[1:] if line.strip() and not line.strip().startswith("#")]
+        self.assertTrue(words, name)
+        return set().union(*map(self.set_of_calls, words))
+
+    def test_none_of_them_may_make_calls_by_the_kernels_rings(self):
+        rings = {"io_uring_setup", "io_uring_enter", "io_uring_register"}
+        self.assertLessEqual(rings, self.set_of_calls("@system-service"), "the sets of systemd allow them")
+        for unit in self.units:
+            allowed = set()
+            for words in re.findall(r"^SystemCallFilter=(.*)$", unit.read_text(), re.MULTILINE):
+                named = set().union(*map(self.set_of_calls, words.removeprefix("~").split()))
+                allowed = allowed - named if words.startswith("~") else allowed | named
+            self.assertIn("read", allowed, unit.name)
+            self.assertEqual(allowed & rings, set(), unit.name)
+
     def test_their_daemons_may_do_little(self):
         for unit in self.units:
             done = self.analyze("security", "--offline=yes", f"--threshold={MOST_EXPOSED}", "--no-pager", str(unit))
