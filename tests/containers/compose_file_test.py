@@ -77,6 +77,8 @@ def ways_around_the_tunnel(file):
     services = file["services"]
     if file.get("networks") != {"registry": {"internal": True}, "storm": {"internal": True}}:
         yield "the networks of ZooKeeper and Storm lead elsewhere"
+    if services["zookeeper"]["environment"].get("ZOO_MAX_CLIENT_CNXNS") != "0":
+        yield "zookeeper allows one address so few connections as all daemons, which come by way of registry-tls, must share"
     for name, service in services.items():
         if service.get("networks") != NETWORKS.get(name):
             yield f"{name} is on the networks {service.get('networks')}"
@@ -157,6 +159,7 @@ def check_that_it_finds(file):
     """The checker finds every broken promise."""
     breaks = {
         "zookeeper has no cpus": lambda services: services["zookeeper"].pop("cpus"),
+        "zookeeper allows one address so few": lambda services: services["zookeeper"]["environment"].pop("ZOO_MAX_CLIENT_CNXNS"),
         "rabbitmq has no whole health check": lambda services: services["rabbitmq"].pop("healthcheck"),
         "kafka has no mem_limit": lambda services: services["kafka"].pop("mem_limit"),
         "master-1 has the restart policy no": lambda services: services["master-1"].update(restart="no"),

@@ -1,15 +1,17 @@
 #!/usr/bin/python3
 """The shipped configurations of the tunnel to the registry, that of the units and those of docker-compose.yml: what goes in
 comes out at a server of the same authority that has the name which was asked for, and nowhere else; a certificate that is
-revoked opens nothing.
+revoked opens nothing; and who opens many connections takes them from nobody.
 
 usage: registry_tunnel_test.py DEPLOY_FOLDER IOTCLOUD
 """
 
 import pathlib
+import re
 import signal
 import socket
 import ssl
+import struct
 import subprocess
 import sys
 import tempfile
@@ -17,13 +19,20 @@ import threading
 import time
 import unittest
 
-sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent.parent / "servers"))
+import yaml
+
+SERVERS = pathlib.Path(__file__).resolve().parent.parent / "servers"
+sys.path.insert(0, str(SERVERS))
 
 from private_server import free_ports  # noqa: E402
 
 DEPLOY, IOTCLOUD = pathlib.Path(sys.argv[1]), sys.argv[2]
 CONFIGURATION = DEPLOY / "systemd/registry-tunnel.conf"
 LIMIT_S = 120
+USUAL = 60  # connections that ZooKeeper allows one address, if its configuration says nothing
+MANY = 150
+# What a client of ZooKeeper says first: the length, the protocol's version, no transaction seen, a time-out of 10 s, no session.
+HELLO_REGISTRY = struct.pack(">iiqiqi16x", 44, 0, 0, 10_000, 0, 16)
 
 
 class PlainServer:
@@ -186,6 +195,55 @@ class Tunnel(unittest.TestCase):
         self.assertIsNone(tunnel.poll(), "the same process goes on")
         self.assertEqual(self.ask(ends["gateway-1"]), b"")
         self.assertEqual(self.ask_until_answered(ends["gateway-2"]), b"RUOK")
+
+    def zookeeper(self, of_an_address):
+        """A ZooKeeper of its own. Returns its address."""
+        server = subprocess.Popen(["/usr/bin/python3", SERVERS / "zookeeper.py", "--dir", self.folder / "zookeeper", "--of-an-address",
+                                   of_an_address], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        self.addCleanup(server.wait)
+        self.addCleanup(server.communicate)
+        answer = server.stdout.readline().strip()
+        self.assertTrue(answer.startswith("READY zookeeper://"), answer)
+        return answer.removeprefix("READY zookeeper://")
+
+    def session(self, port, host):
+        """A connection to the registry by the certificate of a host, if ZooKeeper greets it."""
+        context = ssl.create_default_context(cafile=self.folder / "ca.pem")
+        context.check_hostname = False
+        context.load_cert_chain(self.folder / f"{host}.pem", self.folder / f"{host}.key")
+        client = context.wrap_socket(socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S))
+        self.addCleanup(client.close)
+        try:
+            client.sendall(HELLO_REGISTRY)
+            return client if client.recv(100) else None
+        except ConnectionError:
+            return None
+
+    def others_get_in_beside_a_thief(self, port):
+        """A thief holds many sessions; others, who have the same address for ZooKeeper, get one all the same."""
+        self.assertTrue(self.certificate_at(port))
+        held = [self.session(port, "gateway-1") for _ in range(MANY)]
+        self.assertTrue(self.session(port, "gateway-2"), "others are locked out")
+        self.assertTrue(all(held), f"{held.count(None)} of {MANY} sessions of a large fleet are refused")
+
+    def test_the_clusters_registry_has_a_place_for_others_beside_one_who_takes_many(self):
+        said = yaml.safe_load((DEPLOY.parent / "docker-compose.yml").read_text())["services"]["zookeeper"]["environment"]
+        server, inner = self.zookeeper(str(said.get("ZOO_MAX_CLIENT_CNXNS", USUAL))), free_ports(1)[0]
+        self.certs("add", "registry-tls", "gateway-1", "gateway-2")
+        self.of_cluster("registry-tls.conf", "registry-tls", {"accept = 2281": f"accept = 127.0.0.1:{inner}", "zookeeper:2181": server})
+        self.others_get_in_beside_a_thief(inner)
+
+    def test_the_fleets_registry_has_a_place_for_others_beside_one_who_takes_many(self):
+        said = re.findall(r"maxClientCnxns=(\d+)", (DEPLOY / "fleet" / "README.md").read_text())
+        server, inner = self.zookeeper(said[0] if said else str(USUAL)), free_ports(1)[0]
+        self.certs("add", "gateway-1", "gateway-2")
+        text = (DEPLOY / "fleet/registry-tls.conf").read_text()
+        for there, here in (("accept = 2281", f"accept = 127.0.0.1:{inner}"), ("connect = 127.0.0.1:2181", f"connect = {server}"),
+                            ("/etc/iotcloud", str(self.folder))):
+            self.assertIn(there, text)
+            text = text.replace(there, here)
+        self.stunnel("fleet.conf", text)
+        self.others_get_in_beside_a_thief(inner)
 
     def certificate_at(self, port):
         """The certificate that a server shows, as soon as it shows one: it resets connections while it reads its files."""
