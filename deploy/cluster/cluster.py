@@ -119,7 +119,16 @@ RABBITMQ_USERS = {
 }
 
 
-# The users of Kafka; what each may do is in the file kafka-rights. The administrator gives them their rights.
+# What RabbitMQ keeps of what one user could take from all others: a server whose memory or disk runs full takes no message from
+# anybody. Of connections and channels each user has so many; of queues there are so many for all, and in each so many bytes wait. A
+# message for a queue that is full is refused, and waits at its sender: of those that were taken none is lost.
+USER_LIMITS = {**dict.fromkeys((user for gateway in GATEWAYS for user in rights_of_gateway(gateway)),
+                               {"max-connections": 128, "max-channels": 2048}),
+               "workers": {"max-connections": 512, "max-channels": 8192}}
+MOST_QUEUES = 4000
+QUEUE_LIMITS = {"max-length-bytes": 128 * 1024 * 1024, "overflow": "reject-publish"}
+
+# The users of Kafka; what each may do is in the file kafka-rights, and how much in kafka-quotas. The administrator gives them these.
 KAFKA_USERS = [*GATEWAYS, "workers", "bench"]
 KAFKA_ADMINISTRATOR = "admin"
 
@@ -246,7 +255,7 @@ def write_secret(folder, name, text):
 
 
 def rabbitmq_users(passwords):
-    """RabbitMQ's definitions of its users: no other is there, and none is an administrator."""
+    """RabbitMQ's definitions of its users, with their limits: no other is there, and none is an administrator."""
     def hashed(password):  # https://www.rabbitmq.com/docs/passwords: four bytes of salt, and SHA-256
         salt = secrets.token_bytes(4)
         return base64.b64encode(salt + hashlib.sha256(salt + password.encode()).digest()).decode()
@@ -254,11 +263,14 @@ def rabbitmq_users(passwords):
     return json.dumps({
         "vhosts": [{"name": "/"}],
         "users": [{"name": user, "password_hash": hashed(password), "hashing_algorithm": "rabbit_password_hashing_sha256",
-                   "tags": ""} for user, password in passwords.items()],
+                   "tags": "", "limits": USER_LIMITS.get(user, {})} for user, password in passwords.items()],
         "permissions": [{"user": user, "vhost": "/", **{what: rights[what] for what in ("configure", "write", "read")}}
                         for user, rights in RABBITMQ_USERS.items()],
         "topic_permissions": [{"user": user, "vhost": "/", "exchange": GATEWAYS_EXCHANGE, "write": rights["keys"],
-                               "read": rights["keys"]} for user, rights in RABBITMQ_USERS.items()]}, indent=1)
+                               "read": rights["keys"]} for user, rights in RABBITMQ_USERS.items()],
+        "parameters": [{"vhost": "/", "component": "vhost-limits", "name": "limits", "value": {"max-queues": MOST_QUEUES}}],
+        "policies": [{"vhost": "/", "name": "limits", "pattern": ".*", "apply-to": "queues", "priority": 0,
+                      "definition": QUEUE_LIMITS}]}, indent=1)
 
 
 def kafka_users(passwords):

@@ -225,6 +225,11 @@ def check_brokers_users():
             if bool(re.search(pattern, name)) != expected:
                 sys.exit(f"RabbitMQ: {user} {'has not' if expected else 'has'} the right {right} of \"{name}\"")
     told = json.loads(cluster.rabbitmq_users(dict.fromkeys(cluster.RABBITMQ_USERS, "sesame")))
+    unlimited = {user["name"] for user in told["users"] if not {"max-connections", "max-channels"} <= set(user["limits"])}
+    if unlimited != {"bench"}:
+        sys.exit(f"RabbitMQ has no limits for {unlimited}")
+    if [policy["pattern"] for policy in told["policies"]] != [".*"] or told["policies"][0]["definition"]["overflow"] != "reject-publish":
+        sys.exit(f"what waits in RabbitMQ's queues: {told['policies']}")
     if {user["tags"] for user in told["users"]} != {""} or "sesame" in json.dumps(told):
         sys.exit(f"RabbitMQ's users: {told}")
 
@@ -248,6 +253,16 @@ def check_kafkas_users():
     topics = {words[at + 1] for words in rules["workers"] for at, word in enumerate(words) if word == "--topic"}
     if topics != {f"{gateway}." for gateway in cluster.GATEWAYS}:
         sys.exit(f"kafka-rights: workers reach {topics}")
+
+
+def check_kafkas_quotas():
+    """Every user of Kafka but the benchmark's sends and reads so many bytes a second, and no more."""
+    told = subprocess.run(["bash", ROOT / "deploy/cluster/kafka-quotas", "echo"], check=True, capture_output=True, text=True, timeout=60,
+                          env={"PATH": "/usr/bin:/bin", "GATEWAY_BYTES_PER_S": "1000"}).stdout.splitlines()
+    quotas = {words[words.index("--entity-name") + 1]: words[words.index("--add-config") + 1] for words in map(str.split, told)}
+    expected = {**dict.fromkeys(cluster.GATEWAYS, 1000), "workers": 4000}
+    if quotas != {user: f"producer_byte_rate={rate},consumer_byte_rate={rate}" for user, rate in expected.items()}:
+        sys.exit(f"kafka-quotas: {quotas}")
 
 
 def check_renewal():
@@ -353,7 +368,7 @@ def check_revocation():
         for name, text in files.items():
             left = (folder / "authority" / name).read_text(encoding="utf-8")
             if name.endswith(".json"):
-                kept = {kind: [one for one in every if not {"gateway-1", "gateway-1-reads"} & set(one.values())]
+                kept = {kind: [one for one in every if not {"gateway-1", "gateway-1-reads"} & {one.get("name"), one.get("user")}]
                         for kind, every in json.loads(text).items()}
                 good = json.loads(left) == kept
             else:
@@ -391,6 +406,7 @@ def main():
     check_revocation()
     check_brokers_users()
     check_kafkas_users()
+    check_kafkas_quotas()
     check_renewal()
     print(f"{len(file['services'])} services keep the promises")
 

@@ -1,11 +1,12 @@
 #!/usr/bin/python3
 """The configurations of deploy/fleet pass their daemons' own check as they stand, but for their paths, after the commands of its
-page; and each has what secures its daemon. The page gives RabbitMQ's users the rights that are tested at a server
+page; and each has what secures its daemon. The page gives RabbitMQ's users the rights and limits that are tested at a server
 (tests/brokers/rabbitmq/users_test.cc). files_test.py starts the units with the configurations.
 
 usage: fleet_test.py DEPLOY_FOLDER BUILD_DIR
 """
 
+import json
 import pathlib
 import subprocess
 import sys
@@ -89,6 +90,13 @@ def check_brokers_users(folder):
     users, with_password = rights(told)
     if users != expected or with_password != set(expected):
         sys.exit(f"RabbitMQ's users of the page: {users}, and those that are tested: {expected}; {with_password} have passwords")
+    limits = {user: cluster.USER_LIMITS[user] for user in expected}
+    if {user: json.loads(limit) for verb, user, limit, *_ in told if verb == "set_user_limits"} != limits:
+        sys.exit(f"RabbitMQ's users of the page have not the limits {limits}: {told}")
+    if ["set_vhost_limits", json.dumps({"max-queues": cluster.MOST_QUEUES}), ""] not in told:
+        sys.exit(f"RabbitMQ has any number of queues: {told}")
+    if ["set_policy", "--apply-to", "queues", "limits", ".*", json.dumps(cluster.QUEUE_LIMITS), ""] not in told:
+        sys.exit(f"in RabbitMQ's queues waits as much as comes: {told}")
     if ["delete_user", "guest", ""] not in told:
         sys.exit("RabbitMQ's user guest stays")
 

@@ -30,7 +30,7 @@ With --listener it also listens on PORT, and whoever comes there is told to go o
 
 With --tls the URL is kafkas://localhost:PORT: the server wants a client certificate, and user and password (SASL PLAIN;
 certificates.py; the files are in DIR). With --users it has the users of docker-compose.yml, each with the password `sesame` and
-with the rights that it has there; `READY` comes when they have them. Then there are also
+with the rights that it has there, and quotas, which are lower; `READY` comes when they have them. Then there are also
 
     cut_off  gateway-2, as `./dev cluster certs revoke gateway-2` does    CUT_OFF
     let_in   gives it back what that took                                 LET_IN
@@ -54,6 +54,7 @@ DENY, ALLOW = 2, 3
 CLUSTER = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", "deploy", "cluster"))
 PASSWORD_OF_USERS = "sesame"
 RULES_LIMIT_S = 120
+QUOTA_OF_GATEWAY = "1048576"  # bytes a second, which a slow machine can exceed, too
 
 
 class Kafka(private_server.Server):
@@ -136,15 +137,17 @@ class Kafka(private_server.Server):
     def start(self):
         answer = super().start()
         if self.users:
-            self.change_rules("bash", os.path.join(CLUSTER, "kafka-rights"))
+            self.administrate("kafka.admin.AclCommand", "bash", os.path.join(CLUSTER, "kafka-rights"))
+            self.administrate("kafka.admin.ConfigCommand", "bash", os.path.join(CLUSTER, "kafka-quotas"))
         return answer
 
-    def change_rules(self, *before, words=()):
-        """kafka-acls.sh as the administrator, with these words, or run by the command `before`."""
+    def administrate(self, main, *before, words=()):
+        """One of Kafka's own programs (kafka-acls.sh and the like) as the administrator, with these words, or run by the command
+        `before`."""
         with open(self.log(), "ab") as log:
-            subprocess.run([*before, *self.java(
-                "kafka.admin.AclCommand", "--bootstrap-server", "127.0.0.1:%d" % self.port, "--command-config",
-                self.path("admin.properties")), *words], env=self.environment(), cwd=self.folder,
+            subprocess.run([*before, *self.java(main, "--bootstrap-server", "127.0.0.1:%d" % self.port, "--command-config",
+                                                self.path("admin.properties")), *words],
+                           env={**self.environment(), "GATEWAY_BYTES_PER_S": QUOTA_OF_GATEWAY}, cwd=self.folder,
                            stdin=subprocess.DEVNULL, stdout=log, stderr=log, check=True, timeout=private_server.START_LIMIT_S)
 
     @staticmethod
@@ -154,11 +157,11 @@ class Kafka(private_server.Server):
         return words[words.index("--command-config") + 2:]
 
     def cut_off(self):
-        self.change_rules(words=self.words_of_revocation())
+        self.administrate("kafka.admin.AclCommand", words=self.words_of_revocation())
         return "CUT_OFF"
 
     def let_in(self):
-        self.change_rules(words=["--add" if word == "--remove" else word for word in self.words_of_revocation()])
+        self.administrate("kafka.admin.AclCommand", words=["--add" if word == "--remove" else word for word in self.words_of_revocation()])
         return "LET_IN"
 
     def security(self):

@@ -1,5 +1,6 @@
 // What the users of docker-compose.yml may do at Kafka, and what the thief of one gateway's user tries there.
 #include <array>
+#include <atomic>
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
@@ -53,7 +54,9 @@ class Attempts {
       : server_(url.substr(url.find("//") + 2)), user_(std::move(user)) {}
 
   /// A client that sends, for send().
-  Owned<rd_kafka_t> sender() const { return make(RD_KAFKA_PRODUCER, {{"message.timeout.ms", "60000"}}); }
+  Owned<rd_kafka_t> sender() const {
+    return make(RD_KAFKA_PRODUCER, {{"message.timeout.ms", "60000"}, {"queue.buffering.max.messages", "50"}});
+  }
   /// What the server says to each: "ok", or why not.
   static std::string send(rd_kafka_t* client, const std::string& topic) {
     std::string answer = "no answer";
@@ -67,6 +70,18 @@ class Attempts {
     return answer;
   }
   std::string publish(const std::string& topic) const { return send(sender().get(), topic); }
+  /// Sends with a client of sender() until the server has it wait. Whether it did.
+  bool flood(rd_kafka_t* client, const std::string& topic) const {
+    const Owned<rd_kafka_topic_t> to(rd_kafka_topic_new(client, topic.c_str(), nullptr));
+    std::string body(100'000, 'x');
+    for (int sent = 0; sent < 3000 && !held_back_; rd_kafka_poll(client, 10)) {
+      if (rd_kafka_produce(to.get(), RD_KAFKA_PARTITION_UA, RD_KAFKA_MSG_F_COPY, body.data(), body.size(), nullptr, 0,
+                           nullptr) == 0) {
+        ++sent;
+      }
+    }
+    return held_back_;
+  }
   /// A client that reads partition 0 from its beginning, in no group that others have.
   Owned<rd_kafka_t> reader(const std::string& topic) const {
     auto client = make(RD_KAFKA_CONSUMER, {{"group.id", user_ + ".unused"}, {"enable.partition.eof", "true"}});
@@ -137,7 +152,10 @@ class Attempts {
   using Settings = std::initializer_list<std::pair<const char*, std::string>>;
 
   static void on_report(rd_kafka_t*, const rd_kafka_message_t* message, void*) {
-    *static_cast<std::string*>(message->_private) = text_of(message->err);
+    if (message->_private != nullptr) *static_cast<std::string*>(message->_private) = text_of(message->err);
+  }
+  static void on_throttle(rd_kafka_t*, const char*, std::int32_t, int ms, void* held_back) {
+    if (ms > 0) *static_cast<std::atomic<bool>*>(held_back) = true;
   }
   Owned<rd_kafka_t> make(rd_kafka_type_t type, Settings more) const {
     rd_kafka_conf_t* const settings = rd_kafka_conf_new();
@@ -152,6 +170,8 @@ class Attempts {
     set("sasl.username", user_);
     set("sasl.password", password);
     for (const auto& [name, value] : more) set(name, value);
+    rd_kafka_conf_set_opaque(settings, &held_back_);
+    rd_kafka_conf_set_throttle_cb(settings, on_throttle);
     if (type == RD_KAFKA_PRODUCER) rd_kafka_conf_set_dr_msg_cb(settings, on_report);
     return Owned<rd_kafka_t>(rd_kafka_new(type, settings, problem.data(), problem.size()));
   }
@@ -176,6 +196,7 @@ class Attempts {
   }
 
   const std::string server_, user_;
+  mutable std::atomic<bool> held_back_ = false;  ///< the server has had a client wait, because it sent too much
 };
 
 class KafkaUsers : public testing::Test {
@@ -235,6 +256,14 @@ TEST_F(KafkaUsers, TheThiefOfAGatewayNeitherSendsAsAnotherOneNorReadsItsMessages
   EXPECT_EQ(thief.remove_topic(foreign), not_for_topic);
   EXPECT_EQ(thief.take_rights(foreign), not_for_cluster);
   EXPECT_EQ(other.read(foreign), "ok") << "it is there still";
+}
+
+TEST_F(KafkaUsers, TheThiefOfAGatewayWhoSendsWithoutEndHasToWaitAndOthersGoOn) {
+  const Attempts thief(server_->url(), "gateway-1"), other(server_->url(), "gateway-2");
+  const auto sends = thief.sender();
+  EXPECT_TRUE(thief.flood(sends.get(), "gateway-1.turtle.flood"));
+  EXPECT_EQ(other.publish("gateway-2.turtle.data"), "ok");
+  rd_kafka_purge(sends.get(), RD_KAFKA_PURGE_F_QUEUE | RD_KAFKA_PURGE_F_INFLIGHT);
 }
 
 TEST_F(KafkaUsers, TheThiefOfAGatewayHasNoUseOfWhatIsOpenOnceTheGatewayIsCutOff) {

@@ -3,6 +3,7 @@
 #include <cstdio>
 #include <fstream>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
@@ -26,13 +27,13 @@ using testing::HasSubstr;
 constexpr const char* password = "sesame";
 constexpr const char* exchange = "amq.topic";
 
-/// RabbitMQ's definitions of the users, as deploy/cluster/cluster.py makes them.
+/// RabbitMQ's definitions of the users, as deploy/cluster/cluster.py makes them, but for how many queues there may be.
 std::string definitions() {
-  const std::string command = std::string("/usr/bin/python3 -c 'import sys; sys.path.insert(0, \"") +
-                              IOTCLOUD_TEST_SERVERS +
-                              "/../../deploy/cluster\"); import cluster; "
-                              "print(cluster.rabbitmq_users(dict.fromkeys(cluster.RABBITMQ_USERS, \"" +
-                              password + "\")))'";
+  const std::string command =
+      std::string("/usr/bin/python3 -c 'import sys; sys.path.insert(0, \"") + IOTCLOUD_TEST_SERVERS +
+      "/../../deploy/cluster\"); import cluster; "
+      "cluster.MOST_QUEUES = 60; print(cluster.rabbitmq_users(dict.fromkeys(cluster.RABBITMQ_USERS, \"" +
+      password + "\")))'";
   const std::unique_ptr<FILE, int (*)(FILE*)> output(popen(command.c_str(), "r"), pclose);
   std::string text;
   std::array<char, 4096> piece{};
@@ -40,31 +41,37 @@ std::string definitions() {
   return text;
 }
 
+using Connection = std::unique_ptr<amqp_connection_state_t_, int (*)(amqp_connection_state_t)>;
+
+/// Null: the server lets nobody more of this user in.
+Connection log_in(const std::string& url, const char* user) {
+  const BrokerUrl at = parse_broker_url(url);
+  Connection connection(amqp_new_connection(), amqp_destroy_connection);
+  amqp_socket_t* const socket = amqp_tcp_socket_new(connection.get());
+  EXPECT_EQ(amqp_socket_open(socket, at.host.c_str(), at.port), AMQP_STATUS_OK);
+  const auto login = amqp_login(connection.get(), "/", 0, 131072, 0, AMQP_SASL_METHOD_PLAIN, user, password);
+  if (login.reply_type != AMQP_RESPONSE_NORMAL) connection.reset();
+  return connection;
+}
+
 /// A client that may do anything that its user may, beside what ours does. The server closes its channel for what is
 /// not allowed, so each attempt has its own.
 class Attempts {
  public:
   using Arguments = std::vector<std::pair<std::string, std::string>>;
-  Attempts(const std::string& url, const char* user) : connection_(amqp_new_connection()) {
-    const BrokerUrl at = parse_broker_url(url);
-    amqp_socket_t* const socket = amqp_tcp_socket_new(connection_);
-    EXPECT_EQ(amqp_socket_open(socket, at.host.c_str(), at.port), AMQP_STATUS_OK);
-    const auto login = amqp_login(connection_, "/", 0, 131072, 0, AMQP_SASL_METHOD_PLAIN, user, password);
-    EXPECT_EQ(login.reply_type, AMQP_RESPONSE_NORMAL) << user;
+  Attempts(const std::string& url, const char* user) : held_(log_in(url, user)), connection_(held_.get()) {
+    if (!held_) throw std::runtime_error(std::string("the server does not let in ") + user);
   }
-  ~Attempts() { amqp_destroy_connection(connection_); }
-  Attempts(const Attempts&) = delete;
-  Attempts& operator=(const Attempts&) = delete;
 
   bool is_open() {
     amqp_channel_open(connection_, ++channel_);
     return outcome() == "ok";
   }
   /// What the server says to each: "ok", or why not.
-  std::string declare(const std::string& queue, const Arguments& arguments = {}) {
+  std::string declare(const std::string& queue, const Arguments& arguments = {}, bool exclusive = false) {
     open();
     auto table = as_table(arguments);
-    amqp_queue_declare(connection_, channel_, to_bytes(queue), 0, 0, 0, 0,
+    amqp_queue_declare(connection_, channel_, to_bytes(queue), 0, 0, exclusive ? 1 : 0, 0,
                        {static_cast<int>(table.size()), table.data()});
     return outcome();
   }
@@ -85,15 +92,23 @@ class Attempts {
     amqp_exchange_bind(connection_, channel_, to_bytes(to), to_bytes(from), to_bytes(key), amqp_empty_table);
     return outcome();
   }
-  std::string publish(const std::string& to, const std::string& key) {
+  /// Deletes a queue. How many messages it had; -1: it may not.
+  int remove(const std::string& queue) {
+    open();
+    const auto* const removed = amqp_queue_delete(connection_, channel_, to_bytes(queue), 0, 0);
+    return outcome() == "ok" && removed != nullptr ? static_cast<int>(removed->message_count) : -1;
+  }
+  /// "full": a queue takes no more.
+  std::string publish(const std::string& to, const std::string& key, const std::string& body = "forged") {
     open();
     amqp_confirm_select(connection_, channel_);
     EXPECT_EQ(outcome(), "ok");
-    amqp_basic_publish(connection_, channel_, to_bytes(to), to_bytes(key), 0, 0, nullptr, amqp_cstring_bytes("forged"));
+    amqp_basic_publish(connection_, channel_, to_bytes(to), to_bytes(key), 0, 0, nullptr, to_bytes(body));
     amqp_frame_t answer{};
     while (amqp_simple_wait_frame(connection_, &answer) == AMQP_STATUS_OK) {
       if (answer.frame_type != AMQP_FRAME_METHOD || answer.channel != channel_) continue;
       if (answer.payload.method.id == AMQP_BASIC_ACK_METHOD) return "ok";
+      if (answer.payload.method.id == AMQP_BASIC_NACK_METHOD) return "full";
       if (answer.payload.method.id == AMQP_CHANNEL_CLOSE_METHOD) return closed(answer.payload.method.decoded);
     }
     return "the connection broke";
@@ -132,6 +147,7 @@ class Attempts {
     amqp_send_method(connection_, channel_, AMQP_CHANNEL_CLOSE_OK_METHOD, &ok);
     return why;
   }
+  const Connection held_;
   const amqp_connection_state_t connection_;
   amqp_channel_t channel_ = 0;
 };
@@ -156,6 +172,13 @@ class RabbitMqUsers : public testing::Test {
           {"exchange", exchange}, {"reader", user + "-reads"}, {"reader_password_file", options.password_file}};
     }
     return make_broker(options);
+  }
+  static void expect_to_get_through(const std::string& gateway) {
+    const Topic data{exchange, gateway + ".turtle.one.through", false};  // of which no other test has a queue
+    const auto sender = broker_of(gateway, true), workers = broker_of("workers", false);
+    Inbox inbox;
+    const auto reads = workers->subscribe(data, {}, inbox.handler());
+    expect_arrivals(*sender->publisher(data, {}), inbox, 1);
   }
   static std::string folder_;
   static tests::PrivateServer* server_;
@@ -210,6 +233,60 @@ TEST_F(RabbitMqUsers, TheThiefOfAGatewayNeitherSendsAsAnotherOneNorReadsItsMessa
   EXPECT_THAT(writer.declare_exchange("gateway-1.alternate", alternate), refused);
   EXPECT_THAT(writer.bind_exchange(exchange, "gateway-1.source", "#"), refused);
   EXPECT_THAT(writer.publish("gateway-1.source", foreign), refused);
+}
+
+TEST_F(RabbitMqUsers, TheThiefOfAGatewayFillsNoQueueBeyondALimitAndOthersGoOn) {
+  const std::string own = "gateway-1.turtle.flood", source = "gateway-1.source", megabyte(1 << 20, 'x');
+  Attempts writer(server_->url(), "gateway-1"), reader(server_->url(), "gateway-1-reads");
+  ASSERT_EQ(reader.declare(own), "ok");
+  ASSERT_EQ(reader.bind(own, exchange, own), "ok");
+  ASSERT_EQ(reader.declare_exchange(source), "ok");
+  ASSERT_EQ(reader.bind(own, source, own), "ok");
+  int taken = 0;
+  while (taken < 300 && writer.publish(exchange, own, megabyte) == "ok") ++taken;
+  EXPECT_THAT(taken, testing::AllOf(testing::Gt(0), testing::Lt(300)));
+  EXPECT_EQ(writer.publish(exchange, own, megabyte), "full");
+  EXPECT_EQ(reader.publish(source, own, megabyte), "full") << "by an exchange of its own";
+  expect_to_get_through("gateway-2");
+  expect_to_get_through("gateway-1");
+  EXPECT_EQ(reader.remove(own), taken) << "none that was taken is lost";
+}
+
+TEST_F(RabbitMqUsers, TheThiefOfAGatewayTakesNoConnectionsChannelsOrQueuesWithoutEnd) {
+  const auto data = Topic{exchange, "gateway-2.turtle.two.early", false};
+  Inbox inbox;
+  const auto gateway = broker_of("gateway-2", true), workers = broker_of("workers", false);
+  const auto reads = workers->subscribe(data, {}, inbox.handler());
+  const auto sends = gateway->publisher(data, {});
+  expect_arrivals(*sends, inbox, 1);
+  for (const char* user : {"gateway-1", "gateway-1-reads"}) {
+    std::vector<Connection> held;
+    while (held.size() < 300) {
+      auto one = log_in(server_->url(), user);
+      if (!one) break;
+      held.push_back(std::move(one));
+    }
+    EXPECT_THAT(held.size(), testing::AllOf(testing::Gt(4U), testing::Lt(300U))) << user;
+  }
+  const auto lets_in = [&] { return log_in(server_->url(), "gateway-1-reads") != nullptr; };
+  ASSERT_TRUE(eventually(lets_in, patience)) << "the server counts a connection until it has seen its end";
+
+  {
+    Attempts first(server_->url(), "gateway-1-reads"), second(server_->url(), "gateway-1-reads");
+    int open = 0;
+    while (open < 1500 && first.is_open()) ++open;  // one connection may have 2047
+    while (open < 3000 && second.is_open()) ++open;
+    EXPECT_THAT(open, testing::AllOf(testing::Gt(100), testing::Lt(3000)));
+  }
+
+  ASSERT_TRUE(eventually(lets_in, patience));
+  Attempts reader(server_->url(), "gateway-1-reads");
+  std::string answer = "ok";
+  int queues = 0;
+  while (queues < 100 && answer == "ok") answer = reader.declare("gateway-1.many" + std::to_string(++queues), {}, true);
+  EXPECT_THAT(answer, HasSubstr("queue limit"));
+  publish_numbers(*sends, 4, 6);
+  EXPECT_TRUE(inbox.wait_for(6)) << "whoever has its queue goes on";
 }
 
 TEST_F(RabbitMqUsers, WhenAGatewaysUsersAreDeletedItsOpenConnectionsEnd) {
