@@ -20,18 +20,21 @@ from booted import BootedCluster, require_means, status_of, with_own_programs
 from private_cluster import free_port, require, wait_for
 
 DAEMONS = {"iotcloud-master.service": "iotcloud-master", "iotcloud-gateway.service": "iotcloud-gateway",
-           "iotcloud-topology@echo.service": "iotcloud-topology", "iotcloud-pool.service": "iotcloud-topology", "iotcloud-registry-tunnel.service": "iotcloud-tunnel"}
+           "iotcloud-topology@echo.service": "iotcloud-topology", "iotcloud-pool.service": "iotcloud-pool",
+           "iotcloud-registry-tunnel.service": "iotcloud-tunnel"}
 # Who reads each secret file, of all the users.
 READERS = {"master.key": {"iotcloud-master"}, "master-tokens": {"iotcloud-master"}, "master.password": {"iotcloud-master"},
            "worker-pages.token": {"iotcloud-master"}, "gateways/gateway-1.token": {"iotcloud-master"},
            "gateway-tokens": {"iotcloud-gateway"}, "gateway.password": {"iotcloud-gateway"},
            "broker.password": {"iotcloud-gateway", "iotcloud-host"}, "broker-reads.password": {"iotcloud-gateway", "iotcloud-host"},
            "worker.password": {"iotcloud-topology"}, "worker-broker.password": {"iotcloud-topology"},
-           "pools/pool-1.token": {"iotcloud-master"}, "lab1-pool.key": {"iotcloud-topology"}, "pool-tokens": {"iotcloud-topology"},
-           **{f"workers/{name}": {"iotcloud-topology"} for name in ("host.key", "worker.password", "worker-broker.password")},
+           "pools/pool-1.token": {"iotcloud-master"}, "pool.password": {"iotcloud-pool"}, "pool-tokens": {"iotcloud-pool"},
+           **{f"workers/{name}": {"iotcloud-pool", "iotcloud-worker"} for name in ("host.key", "worker.password", "worker-broker.password")},
            "page-tokens": set(DAEMONS.values()), **{f"lab1-{user.removeprefix('iotcloud-')}.key": {user} for user in DAEMONS.values()}}
 USERS = [*DAEMONS.values(), "iotcloud-host", "iotcloud-worker"]
-HOST_UNITS = ["iotcloud-host.socket", "iotcloud-host@.service"]
+# Where systemd runs what it is told, as the user of hosts or workers; and who may tell it.
+STARTERS = {"/run/iotcloud-host": "iotcloud-gateway", "/run/iotcloud-worker": "iotcloud-pool"}
+STARTED_UNITS = [f"{starter.removeprefix('/run/')}{kind}" for starter in STARTERS for kind in (".socket", "@.service")]
 ETC = "/etc/iotcloud"
 # Of the machine lab1, on which everything is here.
 NAMES = "echo '127.0.0.1 lab1 zk1 broker-1' >>/etc/hosts\necho lab1 >/etc/hostname"
@@ -92,12 +95,27 @@ class Machine(BootedCluster):
                 pass  # it has ended since it was listed
         return 0
 
-    def reads(self, user, file):
-        """Whether a daemon of this user, with the groups that its unit gives it, may read a file."""
+    def workers_of_pool(self):
+        """Process ids of the pool's workers."""
+        found = []
+        for process in self.descendants():
+            try:
+                words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+            except OSError:  # it has ended since it was listed
+                continue
+            if words[1:2] == [b"--pooled"]:
+                found.append(process)
+        return found
+
+    def may(self, user, *command):
+        """Whether a command does its work as a daemon of this user, with the groups that its unit gives it."""
         groups = {"iotcloud-host": "--clear-groups", "iotcloud-worker": "--clear-groups",
-                  "iotcloud-gateway": "--groups=iotcloud,iotcloud-host"}.get(user, "--groups=iotcloud")
-        done = self.inside("setpriv", f"--reuid={user}", f"--regid={user}", groups, "cat", f"{ETC}/{file}")
-        return done.returncode == 0
+                  "iotcloud-gateway": "--groups=iotcloud,iotcloud-host",
+                  "iotcloud-pool": "--groups=iotcloud,iotcloud-worker"}.get(user, "--groups=iotcloud")
+        return self.inside("setpriv", f"--reuid={user}", f"--regid={user}", groups, *command).returncode == 0
+
+    def reads(self, user, file):
+        return self.may(user, "cat", f"{ETC}/{file}")
 
     def thief(self, certificate, port):
         """A connection by a certificate that lab2 has."""
@@ -159,6 +177,13 @@ def check_users(machine):
     number = machine.inside("id", "-u", "iotcloud-host").stdout.strip()
     hosts = [status_of(process, "Uid") for process in machine.hosts_of("gateway-1")]
     require(hosts == [[number] * 4] and number != "0", f"driver hosts run as {hosts}, not as iotcloud-host")
+    number = machine.inside("id", "-u", "iotcloud-worker").stdout.strip()
+    workers = [status_of(process, "Uid") for process in machine.workers_of_pool()]
+    require(workers == [[number] * 4] and number != "0", f"the pool's workers run as {workers}, not as iotcloud-worker")
+    for starter, teller in STARTERS.items():
+        connect = f"import socket; socket.socket(socket.AF_UNIX).connect('{starter}')"
+        found = {user for user in USERS if machine.may(user, "python3", "-c", connect)}
+        require(found == {teller}, f"{found} may have systemd start processes at {starter}, which is for {teller}")
     for file, readers in READERS.items():
         found = {user for user in USERS if machine.reads(user, file)}
         require(found == readers, f"{file} is read by {found}, and is for {readers}")
@@ -242,7 +267,7 @@ def main():
         machine.zookeeper = machine.server("zookeeper")
         machine.make_files(deploy)
         known = {unit.replace("@echo", "@"): with_own_programs((deploy / "systemd" / unit.replace("@echo", "@")).read_text())
-                 for unit in [*DAEMONS, *HOST_UNITS]}
+                 for unit in [*DAEMONS, *STARTED_UNITS]}
         files = [build / "bin" / program for program in ("iotcloud-master", "iotcloud-gateway", "iotcloud-driver-host",
                                                          "iotcloud-topology")]
         machine.boot(deploy / "systemd", known, list(DAEMONS), [*files, *machine.signed.iterdir()],

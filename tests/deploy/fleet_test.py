@@ -20,15 +20,15 @@ sys.path.insert(0, str(pathlib.Path(__file__).resolve().parents[2] / "deploy/clu
 import cluster  # noqa: E402  (its folder is known now)
 
 # What no daemon of the fleet may lack: keys, with those of the mappings in which they stand before them.
-ALL = ["registry.user", "registry.password_file", "registry.users", "metrics/tls/revoked", "metrics/tokens"]
+ALL = ["registry.user", "registry.password_file", "registry.users", "metrics/tls/revoked", "metrics/tokens", "metrics/certificates"]
 KEYS = {"master": [*ALL, "orders/signing_key", "orders/trusted_keys", "api/tls/revoked", "api/tokens",
                    "api/gateway_token_file", "api/worker_token_file", "api/pool_token_file", "audit/file"],
         "gateway": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "host_user", "host_starter", "host_files/write",
                     "plugins.require_signature", "plugins.require_version", "plugins.trusted_keys", "brokers/rabbitmq/password_file",
                     "brokers/rabbitmq/tls/ca", "brokers/rabbitmq/properties/exchange", "brokers/rabbitmq/properties/reader",
                     "audit/file"],
-        "pool": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "worker_files/read", "libraries.require_signature",
-                 "libraries.require_version", "libraries.trusted_keys", "audit/file"],
+        "pool": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "worker_user", "worker_starter", "worker_files/read",
+                 "libraries.require_signature", "libraries.require_version", "libraries.trusted_keys", "audit/file"],
         "topology": [*ALL, "orders.trusted_keys", "brokers/rabbitmq/password_file", "brokers/rabbitmq/tls/ca"]}
 
 
@@ -150,6 +150,8 @@ def main():
             paths = {"/etc/iotcloud": folder / "etc"}
             if name == "gateway":
                 paths |= {fleet.PLUGINS: folder / "plugins", "host_user: iotcloud-host": "host_user: nobody"}  # a user of this machine
+            if name == "pool":
+                paths |= {"worker_user: iotcloud-worker": "worker_user: nobody"}
             made.write_text(fleet.replaced(text, paths), encoding="utf-8")
             daemon = [build / "bin/iotcloud-topology", "--pool"] if name == "pool" else build / f"bin/iotcloud-{name}"
             done = check(daemon, made)

@@ -19,7 +19,7 @@ from booted import BootedCluster, require_means, status_of, with_own_programs
 from private_cluster import passing_topology, require, wait_for
 
 UNIT, WORKER_UNITS = "iotcloud-pool.service", ["iotcloud-worker.socket", "iotcloud-worker@.service"]
-USER = "iotcloud-topology"
+USER = "iotcloud-pool"
 OWN = "worker_user: iotcloud-worker\nworker_starter: /run/iotcloud-worker"
 # Of the pool: its key, its tokens, and what is in its state folder.
 SECRETS = ["/opt/iotcloud/pool.key", "/opt/iotcloud/pool-tokens", "/var/lib/iotcloud-pool/state/id"]
