@@ -1,5 +1,5 @@
 #!/usr/bin/python3
-"""The cluster of docker-compose.yml on this machine's Docker daemon: ./dev cluster up|status|bench|cli|storm|certs|down
+"""The cluster of docker-compose.yml on this machine's Docker daemon: ./dev cluster up|status|bench|cli|storm|certs|tokens|passwords|down
 
 Its containers belong to the compose project `iotcloud` (COMPOSE_PROJECT_NAME), its files are in build/cluster; `down`
 removes both.
@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import secrets
+import shlex
 import shutil
 import subprocess
 import sys
@@ -29,6 +30,7 @@ USER_OF_IMAGE = 10001  # used when root runs this: the containers' user is never
 REPORT = "/var/lib/iotcloud-reports/cluster.json"
 ALL_PROFILES = [word for profile in ("whole", "metrics", "storm", "bench", "tools") for word in ("--profile", profile)]
 START_LIMIT_S = 300
+FOR_A_YEAR = ["--days", "365"]  # tokens, as certificates
 
 
 ORDER_KEYS = {f"{master}.orders.pub": f"{master}.orders.pub" for master in MASTERS}
@@ -254,15 +256,17 @@ def write_secret(folder, name, text):
         os.chown(file, user_id(), user_id())
 
 
+def hashed_for_rabbitmq(password):
+    """https://www.rabbitmq.com/docs/passwords: four bytes of salt, and SHA-256"""
+    salt = secrets.token_bytes(4)
+    return base64.b64encode(salt + hashlib.sha256(salt + password.encode()).digest()).decode()
+
+
 def rabbitmq_users(passwords):
     """RabbitMQ's definitions of its users, with their limits: no other is there, and none is an administrator."""
-    def hashed(password):  # https://www.rabbitmq.com/docs/passwords: four bytes of salt, and SHA-256
-        salt = secrets.token_bytes(4)
-        return base64.b64encode(salt + hashlib.sha256(salt + password.encode()).digest()).decode()
-
     return json.dumps({
         "vhosts": [{"name": "/"}],
-        "users": [{"name": user, "password_hash": hashed(password), "hashing_algorithm": "rabbit_password_hashing_sha256",
+        "users": [{"name": user, "password_hash": hashed_for_rabbitmq(password), "hashing_algorithm": "rabbit_password_hashing_sha256",
                    "tags": "", "limits": USER_LIMITS.get(user, {})} for user, password in passwords.items()],
         "permissions": [{"user": user, "vhost": "/", **{what: rights[what] for what in ("configure", "write", "read")}}
                         for user, rights in RABBITMQ_USERS.items()],
@@ -338,23 +342,23 @@ def make_secrets(docker):
     for pool in POOLS:
         iotcloud("certs", "add", "/secrets", "--host", pool, "--daemon", certificate_of_workers(pool))
     write_secret(fresh, "admin.token",  # a person's, of no use to whoever catches it in a master's place
-                 iotcloud("token", "add", "admin", "--role", "admin", "--certificate", "/secrets/operator.pem",
+                 iotcloud("token", "add", *FOR_A_YEAR, "admin", "--role", "admin", "--certificate", "/secrets/operator.pem",
                           "--file", "/secrets/masters.tokens"))
     for master in MASTERS:
         for asked in GATEWAYS + POOLS:
             write_secret(fresh, f"{master}-{asked}.token",
-                         iotcloud("token", "add", master, "--role", "master", "--certificate", f"/secrets/{master}.pem",
+                         iotcloud("token", "add", *FOR_A_YEAR, master, "--role", "master", "--certificate", f"/secrets/{master}.pem",
                                   "--file", f"/secrets/{asked}.tokens"))
     for reader in MASTERS + WORKERS + POOLS:  # of the workers' pages; a worker's or pool's health check reads its own
         write_secret(fresh, f"{reader}.pages.token",
-                     iotcloud("token", "add", reader, "--role", "viewer", "--certificate", f"/secrets/{reader}.pem",
+                     iotcloud("token", "add", *FOR_A_YEAR, reader, "--role", "viewer", "--certificate", f"/secrets/{reader}.pem",
                               "--file", "/secrets/pages.tokens"))
     for daemon in MASTERS + GATEWAYS:
         write_secret(fresh, f"{daemon}.health.token",
-                     iotcloud("token", "add", daemon, "--role", "viewer", "--certificate", f"/secrets/{daemon}.pem",
+                     iotcloud("token", "add", *FOR_A_YEAR, daemon, "--role", "viewer", "--certificate", f"/secrets/{daemon}.pem",
                               "--file", f"/secrets/{daemon}.pages.tokens"))
     write_secret(fresh, "prometheus.token",
-                 iotcloud("token", "add", "prometheus", "--role", "viewer", "--certificate", "/secrets/prometheus.pem",
+                 iotcloud("token", "add", *FOR_A_YEAR, "prometheus", "--role", "viewer", "--certificate", "/secrets/prometheus.pem",
                           "--file", "/secrets/prometheus.tokens"))
     for file in ["pages.tokens", *(f"{daemon}.pages.tokens" for daemon in MASTERS + GATEWAYS)]:
         with open(fresh / file, "a", encoding="utf-8") as tokens:  # one token, which all daemons know
@@ -535,6 +539,66 @@ def certs(given):
         cut_off(docker, gone)
 
 
+def tokens(_):
+    """Puts off the end of all tokens. Their holders keep them, and daemons see it within seconds."""
+    docker = Docker()
+    if not SECRETS.exists():
+        raise Refused("there are no tokens: ./dev cluster up")
+    files = sorted((SECRETS / "authority").glob("*.tokens"))
+    renewals = ["set -e", *(shlex.join(["iotcloud", "token", "renew", holder, *FOR_A_YEAR, "--file", f"/secrets/{file.name}"])
+                            for file in files for holder in holders_in(file))]
+    asked(docker.once("secrets", "-c", "\n".join(renewals), entrypoint="sh"))
+    distribute(SECRETS)
+    say(f"{len(renewals) - 1} tokens in {len(files)} files count for another year")
+
+
+def holders_in(tokens_file):
+    lines = tokens_file.read_text(encoding="utf-8").splitlines()
+    return [line.split(":")[0] for line in lines if line and not line.startswith("#")]
+
+
+def passwords(_):
+    """Gives the workers, who share theirs, other passwords at the registry and the brokers, after one of them was stolen; ends what is
+    open with the old ones, and starts all daemons again, because they read passwords and users when they start."""
+    docker = Docker()
+    if not SECRETS.exists():
+        raise Refused("there are no passwords: ./dev cluster up")
+    authority, of_brokers = SECRETS / "authority", {broker: secrets.token_hex(24) for broker in ("rabbitmq", "kafka")}
+    revocation.replace_passwords(authority, hashed_for_rabbitmq(of_brokers["rabbitmq"]), of_brokers["kafka"])
+    for broker, password in of_brokers.items():
+        write_secret(authority, f"workers.{broker}.password", password)
+    made = run(docker.once("secrets", "registry", "user", "workers", "--role", "worker", "--file", "/secrets/registry.users"),
+               capture_output=True)
+    if made.returncode:
+        raise Refused(f"iotcloud registry user failed, run the command again: {made.stderr.strip()}")
+    write_secret(authority, "workers.registry.password", made.stdout.strip())
+    distribute(SECRETS)
+    running = {service: container["Id"] for service, container in docker.containers().items() if container["State"]["Running"]}
+    if "rabbitmq" in running:
+        for command in revocation.commands_for_passwords():
+            asked(["docker", "exec", running["rabbitmq"], *command])
+    again = [service for service in ("kafka", *MASTERS, *GATEWAYS, *WORKERS, *POOLS, "supervisor") if service in running]
+    say(f"the workers have other passwords; starting again: {', '.join(again)}")
+    asked(["docker", "restart", *(running[service] for service in again)])
+    master = next((master for master in MASTERS if master in running), None)
+    if not master:
+        raise Refused("the registry's nodes have their old rights, because no master runs: run the command again once one does")
+    until_done(["docker", "exec", running[master], *revocation.rights(master)])
+    say("the old passwords of the workers open nothing any more")
+
+
+def until_done(command):
+    """Runs a command until it succeeds, in a container that is starting."""
+    deadline = time.monotonic() + START_LIMIT_S
+    while True:
+        try:
+            return asked(command)
+        except Refused:
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(1)
+
+
 def cut_off(docker, gateways):
     """Ends what holders of revoked certificates still have: a tunnel that was open, and gateways' users. What cannot be done keeps
     nothing else from being done."""
@@ -602,6 +666,9 @@ def main():
     sub = command("certs", certs, "renew or revoke certificates, and give them to the containers, which go on")
     sub.add_argument("verb", choices=["renew", "revoke"])
     sub.add_argument("words", nargs=argparse.REMAINDER, help="as those of `iotcloud certs`, without the folder")
+    command("tokens", tokens, "let all tokens count for another year, without a restart").add_argument("verb", choices=["renew"])
+    command("passwords", passwords, "give the workers, who share theirs, other passwords, and start all daemons again").add_argument(
+        "verb", choices=["renew"])
     command("down", down, "take away all that `up` made").add_argument(
         "--images", action="store_true", help="the images too")
     given = parser.parse_args()

@@ -1,9 +1,11 @@
 """What `./dev cluster certs revoke` does beside the list of revoked certificates: a gateway's users at the brokers and in the
 registry go, with the connections that they have open, and those of all tunnels to the registry are begun anew, by those who still
-have a certificate.
+have a certificate. And what `./dev cluster passwords renew` does after a worker was stolen: all workers have one user, so they get
+other passwords.
 """
 
 import json
+import re
 
 
 def users_at_rabbitmq(gateway):
@@ -25,13 +27,37 @@ def forget(folder, gateway):
         file.write_text("".join(line for line in lines if not is_its(line)), encoding="utf-8")
 
 
+def replace_passwords(folder, hash_at_rabbitmq, at_kafka):
+    """Gives the workers other passwords in the brokers' files of the folder `authority`, and takes them out of the registry's."""
+    file = folder / "rabbitmq.users.json"
+    known = json.loads(file.read_text(encoding="utf-8"))
+    for user in known["users"]:
+        if user["name"] == "workers":
+            user["password_hash"] = hash_at_rabbitmq
+    file.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
+    file = folder / "kafka.server.jaas"
+    file.write_text(re.sub(r'(?m)^(\s*user_workers)="[^"]*"', rf'\1="{at_kafka}"', file.read_text(encoding="utf-8")), encoding="utf-8")
+    file = folder / "registry.users"
+    lines = file.read_text(encoding="utf-8").splitlines(keepends=True)
+    file.write_text("".join(line for line in lines if not line.startswith("worker workers:")), encoding="utf-8")
+
+
+def commands_for_passwords():
+    """What RabbitMQ is told of the workers' other password. Kafka reads it when it starts."""
+    return [["rabbitmqctl", "import_definitions", "/run/secrets/users.json"],
+            ["rabbitmqctl", "close_all_user_connections", "workers", "they have another password"]]
+
+
+def rights(master):
+    """Gives the registry's nodes the rights of the users that there are, from a master's container."""
+    return ["iotcloud", "registry", "rights", "--registry", "zookeeper://127.0.0.1:2181", "--user", master, "--password-file",
+            "/run/secrets/registry.password", "--users", "/run/secrets/registry.users"]
+
+
 def commands(gateway, master):
-    """What is to be done in which service, in this order; a service that does not run has nothing to forget. The registry's nodes
-    get their rights from a master's container."""
+    """What is to be done in which service, in this order; a service that does not run has nothing to forget."""
     kafka = ["env", "KAFKA_HEAP_OPTS=-Xmx64m", "KAFKA_OPTS=", "/opt/kafka/bin/kafka-acls.sh", "--bootstrap-server", "localhost:9092",
              "--command-config", "/run/secrets/admin.properties", "--remove", "--force", "--allow-principal", f"User:{gateway}",
              "--operation", "All", "--topic", f"{gateway}.", "--group", f"{gateway}.", "--resource-pattern-type", "prefixed"]
-    rights = ["iotcloud", "registry", "rights", "--registry", "zookeeper://127.0.0.1:2181", "--user", master, "--password-file",
-              "/run/secrets/registry.password", "--users", "/run/secrets/registry.users"]
     return [*(("rabbitmq", ["rabbitmqctl", "delete_user", user]) for user in users_at_rabbitmq(gateway)),
-            ("kafka", kafka), (master, rights)]
+            ("kafka", kafka), (master, rights(master))]

@@ -9,8 +9,9 @@ class OnThisMachine:
     def __init__(self, iotcloud, folder):
         self.iotcloud, self.folder = iotcloud, folder
 
-    def once(self, _, *words):
-        return [str(self.iotcloud), *(word.replace("/secrets", str(self.folder)) for word in words)]
+    def once(self, _, *words, entrypoint=""):
+        here = [word.replace("/secrets", str(self.folder)) for word in words]
+        return [entrypoint or str(self.iotcloud), *here]
 
 
 def make(programs, folder):

@@ -354,7 +354,8 @@ def check_renewal(cluster):
             wait_for(f"{service} shows its renewed certificate at port {port}", lambda service=service, port=port, renewed=renewed:
                      certificate_at(cluster, service, port) == renewed, HEAL_LIMIT_S)
     shown = time.monotonic() - begin
-    wait_until_settled(cluster, sent_so_far(cluster), "the certificates were renewed")
+    cluster.dev("tokens", "renew", quiet=True)
+    wait_until_settled(cluster, sent_so_far(cluster), "certificates and tokens were renewed")
     print(f"{len(SHOWN_AT) + 1} certificates renewed: all daemons show theirs after {shown:.1f} s", flush=True)
 
     # A reader of pages, whose token all daemons know.
@@ -432,6 +433,46 @@ def check_stolen(cluster, kafka):
     cluster.cli("undeploy", "--gateway", "gateway-1", "--driver", "loadgen")
     check_round_trip(cluster, "second")
     print(f"a stolen gateway is nobody any more, and another one goes on, after {time.monotonic() - begin:.1f} s", flush=True)
+
+
+def check_stolen_worker(cluster, kafka):
+    """After `./dev cluster certs revoke pool-2` and `./dev cluster passwords renew` what the thief of a pool has is worth nothing, and the
+    other workers go on, over both brokers."""
+    file = SECRETS / "authority/workers.rabbitmq.password"
+    stolen = file.read_text().strip()
+
+    def gets_in(password):
+        return cluster.docker.inside("docker", "exec", cluster.container("rabbitmq"), "rabbitmqctl", "authenticate_user", "workers", password,
+                                     capture_output=True, text=True).returncode == 0
+
+    require(gets_in(stolen), "the attack: the thief is let in")
+    begin = time.monotonic()
+    cluster.dev("certs", "revoke", "pool-2")
+    cluster.dev("passwords", "renew")
+    require(not gets_in(stolen) and gets_in(file.read_text().strip()), "RabbitMQ has the workers' old password")
+    for service in ["master-1", "master-2", *GATEWAYS, "topology-1", "topology-2", "pool-1", *(["kafka"] if kafka else [])]:
+        wait_for(f"{service} is healthy", lambda service=service: cluster.healthy(service), HEAL_LIMIT_S)
+    wait_for("the masters have a leader once more", lambda: leader(cluster), HEAL_LIMIT_S)
+    wait_for("the workers are in the registry again", lambda: workers_of_echo(cluster) == 2, HEAL_LIMIT_S)
+    check_round_trip(cluster, "third")
+    if kafka:
+        cluster.cli("deploy", "loadgen.so", "--driver", "loadgen-kafka", "--gateway", "gateway-1", "--property", "broker=kafka", "--property",
+                    "shared=true", "--property", "rate=100", "--property", "count=500", "--property",
+                    "report=/var/lib/iotcloud-reports/kafka-again.json")
+        wait_for("500 messages over Kafka are back", lambda: report(cluster, "kafka-again"), HEAL_LIMIT_S)
+        result = report(cluster, "kafka-again")
+        require(result["sent"] == 500 and not result["lost"] and not result["damaged"], result)
+        cluster.cli("undeploy", "--driver", "loadgen-kafka")
+    print(f"a stolen pool's passwords are worth nothing any more, and all workers have others, after {time.monotonic() - begin:.1f} s",
+          flush=True)
+
+
+def workers_of_echo(cluster):
+    """How many workers the masters see; a page that cannot be read fails."""
+    try:
+        return len(cluster.json("topology", "show", "echo")["workers"])
+    except Failed:
+        return 0
 
 
 class PageReader:
@@ -541,6 +582,7 @@ def main():
             check_faults(cluster)
             check_books(cluster)
             check_bench(cluster, kafka)
+            check_stolen_worker(cluster, kafka)
             check_stolen(cluster, kafka)
         except BaseException:
             keep_logs(docker, work)

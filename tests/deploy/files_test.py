@@ -2,12 +2,14 @@
 """The shipped units of all daemons, under a systemd of their own (booted.py), with the secured files of deploy/fleet, which the
 commands of its page made and which belong to whom the commands below its "Files" give them: each daemon reads its key, its
 tokens and its password, which is seen by what it does, and no other user reads them. Tokens and certificates are renewed without
-a restart. Then another machine of the fleet is stolen, and the page's commands end what its thief has.
+a restart. Then other machines of the fleet are stolen, one with a gateway and one with workers, and the page's commands end what their
+thieves have.
 
 usage: files_test.py DEPLOY_FOLDER BUILD_DIR
 """
 
 import argparse
+import json
 import shutil
 import socket
 import ssl
@@ -31,6 +33,7 @@ READERS = {"master.key": {"iotcloud-master"}, "master-tokens": {"iotcloud-master
            "pools/pool-1.token": {"iotcloud-master"}, "pool.password": {"iotcloud-pool"}, "pool-tokens": {"iotcloud-pool"},
            **{f"workers/{name}": {"iotcloud-pool", "iotcloud-worker"} for name in ("host.key", "worker.password", "worker-broker.password")},
            "page-tokens": set(DAEMONS.values()), **{f"lab1-{user.removeprefix('iotcloud-')}.key": {user} for user in DAEMONS.values()}}
+TOKEN_FILES = ["master-tokens", "gateway-tokens", "pool-tokens", "page-tokens", "workers/page-tokens"]
 USERS = [*DAEMONS.values(), "iotcloud-host", "iotcloud-worker"]
 # Where systemd runs what it is told, as the user of hosts or workers; and who may tell it.
 STARTERS = {"/run/iotcloud-host": "iotcloud-gateway", "/run/iotcloud-worker": "iotcloud-pool"}
@@ -72,6 +75,25 @@ class Machine(BootedCluster):
 
     def start_other_end(self):
         self.other_end = self.spawn("registry-tls", ["/usr/bin/stunnel4", self.out / "registry-tls.conf"])
+
+    def restart_other_end(self):
+        """`systemctl restart` on zk1, which here has the list in the folder of the first step."""
+        self.other_end.kill()
+        self.other_end.wait()
+        self.start_other_end()
+
+    def bring(self, *files):
+        """Files of the first step's folder to lab1."""
+        for file in files:
+            copied = self.inside("cp", self.etc / file, f"{ETC}/{file}")
+            require(copied.returncode == 0, copied.stderr)
+
+    def run_page(self, script):
+        """Commands of the page on lab1. Returns what they say."""
+        here = fleet.replaced(script, {"zookeeper://127.0.0.1:2181": f"zookeeper://127.0.0.1:{self.tunnel_port}"})
+        done = self.inside("sh", "-e", "-c", f"PATH={self.bin}:$PATH\n{here}")
+        require(done.returncode == 0, f"the page's commands fail on lab1: {done.stdout} {done.stderr}")
+        return done.stdout
 
     def tool(self, *words):
         return subprocess.run([self.bin / "iotcloud", *words], check=True, capture_output=True, text=True, timeout=120).stdout
@@ -123,14 +145,31 @@ class Machine(BootedCluster):
         context.load_cert_chain(self.certs / f"{certificate}.pem", self.certs / f"{certificate}.key")
         return context.wrap_socket(socket.create_connection(("127.0.0.1", port), timeout=120), server_hostname="localhost")
 
-    def reaches_registry(self):
-        """Whether ZooKeeper greets whoever has the certificate of lab2's tunnel."""
+    def reaches_registry(self, certificate="lab2-tunnel"):
+        """Whether ZooKeeper greets whoever has the certificate of a tunnel."""
         try:
-            with self.thief("lab2-tunnel", self.registry_port) as thief:
+            with self.thief(certificate, self.registry_port) as thief:
                 thief.sendall(HELLO_REGISTRY)
                 return bool(thief.recv(100))
         except OSError:  # of which errors of TLS are some
             return False
+
+    def reads_registry(self, password):
+        """Whether ZooKeeper shows the fleet's nodes to whoever has this password of the workers, and a tunnel."""
+        def text(value):
+            return struct.pack(">i", len(value)) + value.encode()
+
+        with socket.create_connection(("127.0.0.1", self.tunnel_port), timeout=60) as client:
+            answers = client.makefile("rb")
+
+            def ask(request):
+                client.sendall(struct.pack(">i", len(request)) + request)
+                return answers.read(struct.unpack(">i", answers.read(4))[0])
+
+            ask(HELLO_REGISTRY[4:])
+            ask(struct.pack(">iii", -4, 100, 0) + text("digest") + text(f"workers:{password}"))
+            answer = ask(struct.pack(">ii", 1, 8) + text("/iot/sensors") + b"\0")  # its children
+            return struct.unpack(">iqi", answer[:16])[2] == 0
 
     def serial_number(self):
         """That of the certificate that the master shows."""
@@ -184,19 +223,40 @@ def check_users(machine):
         connect = f"import socket; socket.socket(socket.AF_UNIX).connect('{starter}')"
         found = {user for user in USERS if machine.may(user, "python3", "-c", connect)}
         require(found == {teller}, f"{found} may have systemd start processes at {starter}, which is for {teller}")
+    check_files(machine)
+
+
+def check_files(machine):
     for file, readers in READERS.items():
         found = {user for user in USERS if machine.reads(user, file)}
         require(found == readers, f"{file} is read by {found}, and is for {readers}")
 
 
-def check_renewal(machine, bring):
-    """A new token and a renewed certificate count, and nothing is started again."""
+def ends(machine):
+    """When the tokens end that the daemons take, by file and holder."""
+    found = {}
+    for file in TOKEN_FILES:
+        listed = machine.inside(machine.bin / "iotcloud", "token", "list", "--file", f"{ETC}/{file}", "-o", "json")
+        require(listed.returncode == 0, listed.stderr)
+        found |= {(file, one["name"]): one["expires"] for one in json.loads(listed.stdout)}
+    return found
+
+
+def check_renewal(machine, bring, renew):
+    """A new token and a renewed certificate count, tokens count for longer, and nothing is started again."""
     processes = {unit: machine.main_process(unit) for unit in DAEMONS}
     made = machine.inside(machine.bin / "iotcloud", "token", "add", "bob", "--role", "admin", "--certificate", "operator", "--file",
                           f"{ETC}/master-tokens")
     require(made.returncode == 0, f"no token for bob: {made.stderr}")
     machine.token = made.stdout.strip()
     wait_for("the new token counts", lambda: machine.run_cli("gateways").returncode == 0)
+    for file, holder in ends(machine):
+        machine.inside(machine.bin / "iotcloud", "token", "renew", holder, "--days", "1", "--file", f"{ETC}/{file}")
+    soon = ends(machine)
+    renewed = machine.inside("sh", "-e", "-c", f"PATH={machine.bin}:$PATH\n{renew}")
+    require(renewed.returncode == 0, f"tokens are not renewed: {renewed.stderr}")
+    late = ends(machine)
+    require({holder for holder in soon if late[holder] <= soon[holder]} == {("master-tokens", "bob")}, f"renewed: {soon}, {late}")
     before = machine.serial_number()
     machine.tool("certs", "renew", machine.certs, "lab1-master", "--new-key")
     brought = machine.inside("sh", "-e", "-c", bring.replace("CERTS", str(machine.certs)))
@@ -227,13 +287,8 @@ def check_stolen(machine, here, at_broker, on_lab1):
     fleet.run(at_broker, machine.bin, machine.folder)
     require(fleet.told_rabbitmq(machine.folder)[-2:] == [["delete_user", user, ""] for user in ("gateway-2", "gateway-2-reads")],
             f"RabbitMQ is told {fleet.told_rabbitmq(machine.folder)[-2:]}")
-    machine.other_end.kill()  # `systemctl restart` on zk1, which has the list in the folder of the first step here
-    machine.other_end.wait()
-    machine.start_other_end()
-    for file in ("revoked.pem", "registry.users"):
-        for folder in (ETC, f"{ETC}/workers"):
-            copied = machine.inside("cp", machine.etc / file, f"{folder}/{file}")
-            require(copied.returncode == 0, copied.stderr)
+    machine.restart_other_end()
+    machine.bring("revoked.pem", "registry.users", "workers/revoked.pem", "workers/registry.users")
     require(not open_tunnel.recv(100), "the thief's connection to the registry is open")
     wait_for("those who may are at the registry again", lambda: machine.run_cli("gateways").returncode == 0)
     require(not machine.reaches_registry(), "the thief is at the registry again")
@@ -243,14 +298,46 @@ def check_stolen(machine, here, at_broker, on_lab1):
         pass  # it is cut, as wanted
     wait_for("the master refuses the certificate", lambda: "no master answers" in refusal())
 
-    script = fleet.replaced(on_lab1, {"zookeeper://127.0.0.1:2181": f"zookeeper://127.0.0.1:{machine.tunnel_port}"})
-    done = machine.inside("sh", "-e", "-c", f"PATH={machine.bin}:$PATH\n{script}")
-    require(done.returncode == 0, f"the page's commands fail on lab1: {done.stdout} {done.stderr}")
-    nodes, changed, *_ = map(int, done.stdout.split()[-4:])
-    require(nodes > 0 and changed > 0, f"no node had rights of gateway-2: {done.stdout}")
+    said = machine.run_page(on_lab1)
+    nodes, changed, *_ = map(int, said.split()[-4:])
+    require(nodes > 0 and changed > 0, f"no node had rights of gateway-2: {said}")
     wait_for("the gateway is ready again", lambda: any(gateway["state"] == "ready" for gateway in machine.json("gateways")))
     wait_for("the driver is active again", lambda: machine.json("drivers")[0]["state"] == "active")
     wait_for("the topology has its worker again", lambda: any(topology["workers"] for topology in machine.json("topologies")))
+
+
+def check_stolen_worker(machine, here, at_broker, on_lab1):
+    """What the thief of lab3 has is worth nothing after the page's commands, and lab1's workers go on, with other passwords."""
+    machine.tool("certs", "add", machine.certs, "--host", "lab3", "--daemon", "lab3-pool", "--pool", "pool-2")
+    for daemon in ("workers-of-lab3", "lab3-tunnel"):
+        machine.tool("certs", "add", machine.certs, "--host", "lab3", "--daemon", daemon)
+    stolen, at_rabbitmq = ((machine.etc / name).read_text().strip() for name in ("worker.password", "worker-broker.password"))
+    open_tunnel = machine.thief("lab3-tunnel", machine.registry_port)
+    open_tunnel.sendall(HELLO_REGISTRY)
+    require(open_tunnel.recv(100) and machine.reads_registry(stolen), "the attack: the thief reads the registry")
+    before = set(machine.workers_of_pool())
+
+    fleet.run(here, machine.bin, machine.folder)
+    fleet.run(at_broker, machine.bin, machine.folder)
+    fresh = (machine.etc / "worker-broker.password").read_text().strip()
+    require(fresh != at_rabbitmq and fleet.told_rabbitmq(machine.folder)[-2:] == [
+        ["change_password", "workers", fresh], ["close_all_user_connections", "workers", "its password was stolen", ""]],
+        f"RabbitMQ is told {fleet.told_rabbitmq(machine.folder)[-2:]}")
+    machine.restart_other_end()
+    machine.bring("revoked.pem", "registry.users", "worker.password", "pool.password", "worker-broker.password",
+                  *(f"workers/{file.name}" for file in (machine.etc / "workers").iterdir()))
+    require(not open_tunnel.recv(100), "the thief's connection to the registry is open")
+    wait_for("those who may are at the registry again", lambda: machine.run_cli("gateways").returncode == 0)
+    require(not machine.reaches_registry("lab3-tunnel"), "the thief is at the registry again")
+    said = machine.run_page(on_lab1)
+    require(int(said.split()[-3]) > 0, f"no node had rights of the workers: {said}")
+    require(not machine.reads_registry(stolen), "the workers' old password counts")
+    require(machine.reads_registry((machine.etc / "worker.password").read_text().strip()), "the workers' new password does not count")
+    wait_for("the gateway is ready once more", lambda: any(gateway["state"] == "ready" for gateway in machine.json("gateways")))
+    for topology in ("echo", "submitted"):
+        wait_for(f"{topology} has its worker again", lambda topology=topology: machine.json("topology", "show", topology)["workers"])
+    require(before and not before & set(machine.workers_of_pool()), f"a worker with the old passwords runs: {before}, {machine.workers_of_pool()}")
+    check_files(machine)
 
 
 def main():
@@ -260,7 +347,7 @@ def main():
     given = options.parse_args()
     require_means()
     deploy, build = given.deploy.resolve(), given.build.resolve()
-    give, bring, *stolen = fleet.blocks(fleet.page(deploy)[1])
+    give, bring, renew, *drills = fleet.blocks(fleet.page(deploy)[1])
     out = build / "files_of_units"
     shutil.rmtree(out, ignore_errors=True)
     with Machine(out, build / "bin", build / "plugins") as machine:
@@ -276,8 +363,9 @@ def main():
         check_work(machine)
         check_pool(machine, deploy)
         check_users(machine)
-        check_renewal(machine, bring)
-        check_stolen(machine, *stolen)
+        check_renewal(machine, bring, renew)
+        check_stolen(machine, *drills[:3])
+        check_stolen_worker(machine, *drills[3:])
     print(f"{len(DAEMONS)} daemons read their files, and no others do")
 
 

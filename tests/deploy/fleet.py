@@ -53,7 +53,7 @@ def run(script, programs, folder):
     own = folder / "bin"
     own.mkdir(exist_ok=True)
     (own / "rabbitmqctl").write_text(f"""#!/bin/sh
-for word in "$@" "$(case $1 in add_user) cat;; esac)"; do printf '%s\\0' "$word"; done >> {shlex.quote(str(folder / 'rabbitmq'))}
+for word in "$@" "$(case $1 in add_user|change_password) cat;; esac)"; do printf '%s\\0' "$word"; done >> {shlex.quote(str(folder / 'rabbitmq'))}
 printf '\\n' >> {shlex.quote(str(folder / 'rabbitmq'))}
 """)
     (own / "rabbitmqctl").chmod(0o755)
@@ -64,5 +64,5 @@ printf '\\n' >> {shlex.quote(str(folder / 'rabbitmq'))}
 
 
 def told_rabbitmq(folder):
-    """The words of each call of rabbitmqctl; the last one is what it read, a new user's password."""
+    """The words of each call of rabbitmqctl; the last one is what it read, a user's new password."""
     return [line.split("\0")[:-1] for line in (folder / "rabbitmq").read_text(encoding="utf-8").splitlines()]

@@ -76,11 +76,13 @@ def rights(told):
 
 
 def check_tokens(folder):
-    """Each token counts with one certificate: whoever catches it has no use of it."""
-    for file in ("master-tokens", "gateway-tokens", "pool-tokens", "page-tokens"):
-        for line in (folder / "etc" / file).read_text(encoding="utf-8").splitlines():
+    """Each token counts with one certificate, so that whoever catches it has no use of it, and has an end."""
+    for file in ("etc/master-tokens", "etc/gateway-tokens", "etc/pool-tokens", "etc/page-tokens", "lab2/gateway-tokens"):
+        for line in (folder / file).read_text(encoding="utf-8").splitlines():
             if line and not line.startswith("#") and "CN=" not in line:
                 sys.exit(f"{file} has a token that counts with any certificate: {line.split()[0]}")
+            if line and not line.startswith("#") and "/" not in line.split(":")[1]:
+                sys.exit(f"{file} has a token without an end: {line.split(':')[0]}")
 
 
 def check_brokers_users(folder):

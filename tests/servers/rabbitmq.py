@@ -28,6 +28,8 @@ Then it obeys one command for each line of stdin and answers with one line on st
     clients the user, and holder and days of the
             certificate, of each connection        CLIENTS user CN=holder from - to; ...
     forget USER  deletes a user                    FORGOTTEN
+    renew FILE   gives the user `workers` the password of these definitions of users, as
+            `./dev cluster passwords renew` does   RENEWED
     stop    ends everything                        STOPPED
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
@@ -43,11 +45,13 @@ import os
 import re
 import shutil
 import subprocess
+import sys
 
 import certificates
 import private_server
 
 PROGRAMS = "/usr/lib/rabbitmq/bin"  # those in /usr/sbin switch to another user, which cannot use private folders
+CLUSTER = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", "deploy", "cluster"))
 PATIENCE_S = 300  # for an answer of rabbitmqctl, whose own virtual machine starts first
 
 
@@ -241,6 +245,13 @@ class RabbitMq(private_server.Server):
         self.control("delete_user", user)
         return "FORGOTTEN"
 
+    def renew(self, file):
+        sys.path.insert(0, CLUSTER)
+        import revocation  # pylint: disable=import-outside-toplevel
+        for _, *words in revocation.commands_for_passwords():
+            self.control(*(file if word == "/run/secrets/users.json" else word for word in words))
+        return "RENEWED"
+
     def clients(self):
         return "CLIENTS " + "; ".join(
             self.listed("list_connections", "user", "peer_cert_subject", "peer_cert_validity").splitlines()[1:])  # after the headers
@@ -262,7 +273,7 @@ class RabbitMq(private_server.Server):
     def commands(self):
         return {**super().commands(), "alarm": self.alarm, "clear": self.clear, "forbid": self.forbid,
                 "permit": self.permit, "banish": self.banish, "cap": self.cap, "uncap": self.uncap, "queues": self.queues, "reread": self.reread,
-                "clients": self.clients, "forget": self.forget}
+                "clients": self.clients, "forget": self.forget, "renew": self.renew}
 
 
 def main():

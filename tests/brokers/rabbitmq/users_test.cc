@@ -28,12 +28,12 @@ constexpr const char* password = "sesame";
 constexpr const char* exchange = "amq.topic";
 
 /// RabbitMQ's definitions of the users, as deploy/cluster/cluster.py makes them, but for how many queues there may be.
-std::string definitions() {
+std::string definitions(const std::string& password_of_workers = password) {
   const std::string command =
       std::string("/usr/bin/python3 -c 'import sys; sys.path.insert(0, \"") + IOTCLOUD_TEST_SERVERS +
       "/../../deploy/cluster\"); import cluster; "
-      "cluster.MOST_QUEUES = 60; print(cluster.rabbitmq_users(dict.fromkeys(cluster.RABBITMQ_USERS, \"" +
-      password + "\")))'";
+      "cluster.MOST_QUEUES = 60; print(cluster.rabbitmq_users({**dict.fromkeys(cluster.RABBITMQ_USERS, \"" +
+      password + "\"), \"workers\": \"" + password_of_workers + "\"}))'";
   const std::unique_ptr<FILE, int (*)(FILE*)> output(popen(command.c_str(), "r"), pclose);
   std::string text;
   std::array<char, 4096> piece{};
@@ -43,13 +43,13 @@ std::string definitions() {
 
 using Connection = std::unique_ptr<amqp_connection_state_t_, int (*)(amqp_connection_state_t)>;
 
-/// Null: the server lets nobody more of this user in.
-Connection log_in(const std::string& url, const char* user) {
+/// Null: the server does not let this user in, or nobody more of it.
+Connection log_in(const std::string& url, const char* user, const char* by = password) {
   const BrokerUrl at = parse_broker_url(url);
   Connection connection(amqp_new_connection(), amqp_destroy_connection);
   amqp_socket_t* const socket = amqp_tcp_socket_new(connection.get());
   EXPECT_EQ(amqp_socket_open(socket, at.host.c_str(), at.port), AMQP_STATUS_OK);
-  const auto login = amqp_login(connection.get(), "/", 0, 131072, 0, AMQP_SASL_METHOD_PLAIN, user, password);
+  const auto login = amqp_login(connection.get(), "/", 0, 131072, 0, AMQP_SASL_METHOD_PLAIN, user, by);
   if (login.reply_type != AMQP_RESPONSE_NORMAL) connection.reset();
   return connection;
 }
@@ -298,6 +298,20 @@ TEST_F(RabbitMqUsers, WhenAGatewaysUsersAreDeletedItsOpenConnectionsEnd) {
   EXPECT_TRUE(eventually([&] { return !writer.is_open() && !reader.is_open(); }));
   Attempts other(server_->url(), "gateway-1");
   EXPECT_EQ(other.publish(exchange, "gateway-1.turtle.one.data"), "ok") << "others go on";
+}
+
+TEST_F(RabbitMqUsers, WhenTheWorkersHaveAnotherPasswordTheStolenOneAndWhatIsOpenWithItAreWorthNothing) {
+  constexpr const char* other = "open";
+  Attempts thief(server_->url(), "workers"), gateway(server_->url(), "gateway-1");
+  EXPECT_EQ(thief.publish(exchange, "gateway-1.turtle.one.control"), "ok") << "the attack";
+  const std::string file = folder_ + "/rabbitmq_renewed.json";
+  std::ofstream(file) << definitions(other);
+  server_->command("renew " + file, "RENEWED");
+  EXPECT_TRUE(eventually([&] { return !thief.is_open(); }));
+  EXPECT_EQ(log_in(server_->url(), "workers"), nullptr);
+  EXPECT_NE(log_in(server_->url(), "workers", other), nullptr);
+  EXPECT_TRUE(gateway.is_open()) << "others go on";
+  server_->command("renew " + folder_ + "/rabbitmq_users.json", "RENEWED");
 }
 
 TEST_F(RabbitMqUsers, TheThiefOfAWorkerReachesTheGatewaysQueuesAndKeysOnly) {
