@@ -43,6 +43,9 @@ CAUSES = {
     # Version 2 of cgroups has one tree there, version 1 one in each folder.
     "no cgroup to write to": lambda: not any(os.access(file, os.W_OK) for pattern in ("cgroup.procs", "*/cgroup.procs")
                                              for file in Path("/sys/fs/cgroup").glob(pattern)),
+    # Of version 2 of cgroups: a group counts what the one above it says.
+    "no count of processes": lambda: (file := Path("/sys/fs/cgroup/cgroup.subtree_control")).exists() and
+                                     "pids" not in file.read_text(encoding="utf-8").split(),
     "no name spaces": lambda: subprocess.run(["unshare", "--mount", "--pid", "--fork", "true"], stderr=subprocess.DEVNULL).returncode != 0,
     "not root": lambda: os.geteuid() != 0,
 }
