@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <stop_token>
 #include <system_error>
 #include <utility>
 
@@ -131,6 +132,18 @@ std::uint64_t TrustedKeys::generation() const {
   look();
   const config::MutexLock lock(mutex_);
   return generation_;
+}
+
+std::jthread TrustedKeys::on_change(std::function<void()> changed) const {
+  return std::jthread([this, changed = std::move(changed), seen = generation()](const std::stop_token& stop) mutable {
+    config::Mutex mutex;
+    config::StoppableConditionVariable end;
+    const config::MutexLock lock(mutex);
+    while (!end.wait_for(mutex, stop, look_period, [&] { return stop.stop_requested(); })) {
+      const std::uint64_t now = generation();
+      if (std::exchange(seen, now) != now) changed();
+    }
+  });
 }
 
 std::shared_ptr<const TrustedKeys::Keys> TrustedKeys::keys() const {

@@ -2,10 +2,12 @@
 
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <memory>
 #include <string>
 #include <string_view>
+#include <thread>
 #include <vector>
 
 #include <iotcloud/config/clock.h>
@@ -43,6 +45,12 @@ class TrustedKeys {
   void reload();
   /// A number that changes when other keys are trusted, so that an earlier result of admit() may be out of date.
   std::uint64_t generation() const;
+  /// Calls back soon after each change of generation() from now on, at most once for several that come together.
+  /// \param changed is called on the returned thread, and one call at a time. It may ask these keys anything. It must
+  /// not throw, end that thread, or wait for who does.
+  /// \return the thread that looks. Its destructor and assignment end it: they wait for a call that is under way, so
+  /// hold no lock there that `changed` takes, and afterwards there is none. The keys must outlive it.
+  [[nodiscard]] std::jthread on_change(std::function<void()> changed) const;
 
   bool requires_signature() const { return options_.require_signature; }
   /// The file name of the trusted key that made this signature (plugin_signature.h) of these bytes; empty: none did.

@@ -1,7 +1,10 @@
 // Whose signatures are trusted.
+#include <atomic>
+
 #include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/config/hand_clock.h>
+#include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/security/key_folder.h>
 
 namespace iotcloud::security {
@@ -80,6 +83,27 @@ TEST_F(TrustedKeysTest, FilesAreNotLookedAtEachTime) {
   EXPECT_EQ(trust.signer("abc", signature_of("abc")), "lab");
   trust.reload();
   EXPECT_EQ(trust.signer("abc", signature_of("abc")), "") << "unless somebody says so";
+}
+
+TEST_F(TrustedKeysTest, ThoseWhoWaitForOtherKeysAreToldSoonAfterEachChangeUntilTheyEndThat) {
+  TrustedKeys trust({true, {folder_ / "lab.pub"}});
+  std::atomic<int> told = 0;
+  std::atomic<bool> trusted = true;
+  auto watch = trust.on_change([&] {
+    trusted = !trust.signer("abc", signature_of("abc")).empty();
+    ++told;
+  });
+  fs::remove(folder_ / "lab.pub");
+  EXPECT_TRUE(tests::eventually([&] { return told == 1; }));
+  EXPECT_FALSE(trusted) << "the keys are asked when they are the new ones";
+  write("lab.pub", lab_.public_pem);
+  EXPECT_TRUE(tests::eventually([&] { return told == 2; }));
+  EXPECT_TRUE(trusted);
+  trust.reload();
+  EXPECT_TRUE(tests::eventually([&] { return told == 3; })) << "somebody says that they may be others";
+  watch = {};
+  trust.reload();
+  EXPECT_EQ(told, 3);
 }
 
 TEST_F(TrustedKeysTest, AKeyThatIsNoneChangesNothingAndIsSaidOnce) {
