@@ -192,10 +192,6 @@ discovery::ChannelLook Gateway::ask(const ChannelQuestion& question, millisecond
   return none;
 }
 
-void Gateway::reload() {
-  impl_->loop.post([impl = impl_.get()] { impl->feed.read_refused_again(); });
-}
-
 bool Gateway::has_joined() const {
   return impl_->has_joined;
 }

@@ -80,9 +80,6 @@ class Gateway final : public config::DaemonService {
   /// Shows in the gateway's record what its drivers cannot do now; empty: nothing is known. Returns at once.
   void show_trouble(const std::string& text);
 
-  /// The trusted keys of orders were read again: looks at refused orders once more.
-  void reload() override;
-
   const discovery::GatewayId& id() const;
   /// Whether the id was this gateway's at some time since start(): until then its orders may be another gateway's.
   bool has_joined() const;

@@ -84,12 +84,7 @@ class GatewayDaemon final : public config::DaemonService {
   void reload() override {
     config::Reload parts;
     parts.part([&] { config_.trust->reload(); });
-    if (config_.order_keys) {
-      parts.part([&] {
-        config_.order_keys->reload();
-        gateway_->reload();
-      });
-    }
+    if (config_.order_keys) parts.part([&] { config_.order_keys->reload(); });
     parts.part([&] { service_->reload(); });
     if (metrics_) parts.part([&] { metrics_->reload(); });
     parts.finish();

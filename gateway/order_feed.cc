@@ -23,8 +23,6 @@ constexpr std::chrono::milliseconds vanish_pause{200};
 constexpr std::chrono::milliseconds longest_vanish_pause{5000};
 /// Time until orders are read again that could not be followed because the disk did not take them.
 constexpr std::chrono::milliseconds disk_pause{1000};
-/// How often the feed looks, while an order is refused, whether other keys are trusted.
-constexpr std::chrono::milliseconds keys_pause{1000};
 
 }  // namespace
 
@@ -70,7 +68,7 @@ OrderFeed::OrderFeed(discovery::Registry& registry, discovery::Paths paths, disc
       masters_(std::move(masters)),
       done_(masters_ ? std::move(followed_file) : "") {}
 
-// The registry calls back on its dispatcher thread; the callbacks only post to the loop.
+// The registry calls back on its dispatcher thread, and the keys on keys_watch_; the callbacks only post to the loop.
 
 void OrderFeed::start() {
   const std::string list = paths_.orders(gateway_);
@@ -86,10 +84,12 @@ void OrderFeed::start() {
   session_listener_ = registry_.on_session([this](discovery::SessionState state) {
     if (state == discovery::SessionState::connected) loop_.post([this] { read_orders(); });
   });
+  if (masters_) keys_watch_ = masters_->on_change([this] { loop_.post([this] { read_refused_again(); }); });
 }
 
 void OrderFeed::stop() {
   stopped_ = true;
+  keys_watch_ = {};
   session_listener_.reset();
   node_watch_.reset();
   names_watch_.reset();
@@ -109,7 +109,6 @@ std::optional<discovery::FreezeRecord> OrderFeed::freeze_record() const {
 
 void OrderFeed::read_orders(Reading reading) {
   if (stopped_) return;
-  note_keys();
   follow_due();
   try {
     const Found found = read_registry(frozen().empty() ? reading : Reading::all);
@@ -501,7 +500,6 @@ void OrderFeed::clear_removals(const Instances& gone) {
 void OrderFeed::order_changed(const discovery::InstanceId& instance, const std::optional<discovery::Node>& node) {
   if (stopped_ || !frozen().empty() || !order_watches_.contains(instance)) return;
   if (!node && gone_.contains(instance)) return;
-  note_keys();
   const auto handled = handled_.find(instance);
   const bool same = node && (handled == handled_.end() ||
                              (handled->second.first == node->created && handled->second.second <= node->version));
@@ -680,7 +678,6 @@ void OrderFeed::refuse(const discovery::InstanceId& instance, const std::string&
       .counter("iotcloud_gateway_orders_refused_total",
                "Orders, and removals of orders, that no trusted master gave now, which are not followed")
       .add();
-  watch_keys();
 }
 
 void OrderFeed::forget_refusal(const discovery::InstanceId& instance) {
@@ -700,26 +697,6 @@ void OrderFeed::read_refused_later() {
   loop_.start_timer(disk_pause, std::chrono::microseconds{0}, [this] {
     reads_refused_ = false;
     read_refused_again();
-  });
-}
-
-/// Before orders are judged, so that a key that comes meanwhile is seen to be new.
-void OrderFeed::note_keys() {
-  if (masters_) judged_by_ = masters_->generation();
-}
-
-/// Reads what is refused again when other keys are trusted.
-void OrderFeed::watch_keys() {
-  if (!masters_ || std::exchange(watches_keys_, true)) return;
-  refused_by_ = judged_by_;
-  look_at_keys_later();
-}
-
-void OrderFeed::look_at_keys_later() {
-  loop_.start_timer(keys_pause, std::chrono::microseconds{0}, [this] {
-    if (!stopped_ && !refused().empty() && masters_->generation() == refused_by_) return look_at_keys_later();
-    watches_keys_ = false;
-    if (!stopped_ && !refused().empty()) read_refused_again();
   });
 }
 

@@ -8,6 +8,7 @@
 #include <optional>
 #include <set>
 #include <string>
+#include <thread>
 #include <utility>
 #include <vector>
 
@@ -88,9 +89,6 @@ class OrderFeed {
   std::string frozen() const;
   /// Which order is refused, and why, in one line; empty: none is. Thread safe.
   std::string refused() const;
-  /// Reads refused orders again, because other keys are trusted now. While an order is refused the feed looks for that
-  /// itself, too.
-  void read_refused_again();
 
  private:
   /// Whether to read all orders, or only their names. When an order is gone only the names are read, so that the
@@ -129,9 +127,7 @@ class OrderFeed {
   FollowedOrder followed(const discovery::InstanceId& instance, std::int64_t given_ms) const;
   void follow_due();
   void read_refused_later();
-  void note_keys();
-  void watch_keys();
-  void look_at_keys_later();
+  void read_refused_again();
   Instances without_removal(const Instances& names);
   struct Removal {
     std::int64_t given_ms = 0;
@@ -182,9 +178,6 @@ class OrderFeed {
   config::Clock::Instant last_gone_{};                            ///< when the last one of them went
   bool reads_again_ = false;                                      ///< a timer is set
   bool reads_refused_ = false;                                    ///< a timer is set
-  bool watches_keys_ = false;                                     ///< a timer is set
-  std::uint64_t judged_by_ = 0;   ///< TrustedKeys::generation() before the last orders were judged
-  std::uint64_t refused_by_ = 0;  ///< the same of the first one that was refused since the keys changed
   bool told_first_ = false;
   bool stopped_ = false;
   bool retrying_ = false;
@@ -194,6 +187,7 @@ class OrderFeed {
   mutable config::Mutex mutex_;
   std::optional<discovery::FreezeRecord> freeze_ IOTCLOUD_GUARDED_BY(mutex_);         ///< written only on the loop
   std::map<discovery::InstanceId, std::string> refused_ IOTCLOUD_GUARDED_BY(mutex_);  ///< what; written on the loop
+  std::jthread keys_watch_;  ///< TrustedKeys::on_change(); last, because it uses the other members
 };
 
 }  // namespace iotcloud::gateway

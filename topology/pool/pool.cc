@@ -238,10 +238,6 @@ void Pool::take_library() {
   post([this] { to_show_ = true; });
 }
 
-void Pool::reload() {
-  if (watch_) watch_->look_again();
-}
-
 void Pool::stop(milliseconds limit) {
   if (std::exchange(stopped_, true)) return;
   watch_.reset();

@@ -54,8 +54,6 @@ class Pool final : public config::DaemonService {
   /// Leaves the registry, so that other pools take over, and drains and ends all workers.
   void stop(std::chrono::milliseconds limit) override;
   std::string trouble() const override;
-  /// The trusted keys were read again: looks at refused submissions once more.
-  void reload() override;
   /// A component library was sent.
   void take_library();
 

@@ -53,12 +53,7 @@ class PoolDaemon final : public config::DaemonService {
   void reload() override {
     config::Reload parts;
     parts.part([&] { config_.library_keys->reload(); });
-    if (config_.order_keys) {
-      parts.part([&] {
-        config_.order_keys->reload();
-        pool_->reload();
-      });
-    }
+    if (config_.order_keys) parts.part([&] { config_.order_keys->reload(); });
     parts.part([&] { service_->reload(); });
     if (metrics_) parts.part([&] { metrics_->reload(); });
     parts.finish();

@@ -1,5 +1,4 @@
 #include <chrono>
-#include <cstdint>
 #include <set>
 #include <utility>
 #include <vector>
@@ -26,8 +25,6 @@ namespace {
 /// Several changes that come together are looked at once.
 constexpr std::chrono::milliseconds gathering{10};
 constexpr std::chrono::milliseconds retry_pause{500};
-/// How often the pool looks, while a submission is refused, whether other keys are trusted.
-constexpr std::chrono::milliseconds keys_pause{1000};
 
 }  // namespace
 
@@ -95,25 +92,11 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
     }));
   }
 
-  /// Looks again when other keys are trusted than those. \param judged_by their TrustedKeys::generation()
-  void look_at_keys_later(std::uint64_t judged_by) {
-    discovery::GuardPtr before;  // as in look_after()
-    const config::MutexLock lock(mutex);
-    if (planned) return;  // then that look sees to it
-    before = std::exchange(keys_guard, options.registry->after(keys_pause, [weak = weak_from_this(), judged_by] {
-      const auto self = weak.lock();
-      if (!self) return;
-      if (self->options.masters->generation() == judged_by) return self->look_at_keys_later(judged_by);
-      self->look_soon();
-    }));
-  }
-
   void look() {
     {
       const config::MutexLock lock(mutex);
       planned = false;
     }
-    const std::uint64_t keys = options.masters ? options.masters->generation() : 0;
     PoolView view;
     std::string trouble;
     try {
@@ -130,7 +113,6 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
       pool_logger.debug("the registry is read when it answers: {}", error.what());
       return look_after(retry_pause);
     }
-    if (options.masters && !trouble.empty()) look_at_keys_later(keys);
     options.on_view(std::move(view), std::move(trouble));
   }
 
@@ -180,7 +162,6 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
   config::Mutex mutex;
   bool planned IOTCLOUD_GUARDED_BY(mutex) = false;
   discovery::GuardPtr look_guard IOTCLOUD_GUARDED_BY(mutex);
-  discovery::GuardPtr keys_guard IOTCLOUD_GUARDED_BY(mutex);
 
   // Used on the registry's dispatcher only, but for construction and destruction.
   std::map<TopologyName, Submission> accepted;
@@ -190,21 +171,18 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
 };
 
 PoolWatch::PoolWatch(Options options) : impl_(std::make_shared<Impl>(std::move(options))) {
+  if (impl_->options.masters)
+    keys_watch_ = impl_->options.masters->on_change([impl = impl_.get()] { impl->look_soon(); });
   impl_->begin();
 }
 
 PoolWatch::~PoolWatch() {
   impl_->guards.clear();  // nobody follows names any more
   for (auto* watched : {&impl_->pools, &impl_->submissions, &impl_->places}) watched->clear();
-  discovery::GuardPtr last_look, last_of_keys;
+  discovery::GuardPtr last_look;
   const config::MutexLock lock(impl_->mutex);
   impl_->planned = true;
   last_look = std::move(impl_->look_guard);
-  last_of_keys = std::move(impl_->keys_guard);
-}
-
-void PoolWatch::look_again() {
-  impl_->look_soon();
 }
 
 }  // namespace iotcloud::topology

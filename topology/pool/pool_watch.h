@@ -4,6 +4,7 @@
 #include <map>
 #include <memory>
 #include <string>
+#include <thread>
 
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/discovery/submissions.h>
@@ -28,12 +29,10 @@ class PoolWatch {
   explicit PoolWatch(Options options);
   ~PoolWatch();
 
-  /// Looks again, because other keys are trusted now. While a submission is refused it looks for that itself, too.
-  void look_again();
-
  private:
   struct Impl;
   std::shared_ptr<Impl> impl_;
+  std::jthread keys_watch_;  ///< TrustedKeys::on_change(); last, because it uses the other member
 };
 
 }  // namespace iotcloud::topology

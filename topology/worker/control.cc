@@ -25,8 +25,6 @@ namespace {
 const config::Logger control_logger{"topology.control"};
 /// How often a drain checks whether it is done.
 constexpr milliseconds drain_pause{5};
-/// How often a worker looks, while its order is refused, whether other keys are trusted.
-constexpr milliseconds keys_pause{1000};
 
 std::map<std::string, int> parallelism_of(const Topology& topology) {
   std::map<std::string, int> parallelism;
@@ -57,6 +55,13 @@ void WorkerControl::start() {
     const config::MutexLock lock(mutex_);
     return record_;
   }();
+  if (options_.masters) {
+    keys_watch_ = options_.masters->on_change([this] {
+      const config::MutexLock lock(mutex_);
+      keys_changed_ = true;
+      changed_.notify_all();
+    });
+  }
   const std::string path = options_.services->paths.workers(options_.topology.name) + "/" + record.name;
   membership_ = registry_.hold_eventually(path, discovery::encode(record), false, [this](const std::string&) {
     {
@@ -112,13 +117,12 @@ bool WorkerControl::has_news() const {
 
 /// Waits until there is something to do, or to look at.
 void WorkerControl::await_work(const std::stop_token& stop, std::chrono::steady_clock::time_point patience) {
-  const auto due = [this]() IOTCLOUD_REQUIRES(mutex_) { return has_news() || show_due_ || report_due_; };
-  if (!spouts_activated_) {
-    changed_.wait_until(mutex_, stop, patience, due);
-  } else if (refused_by_) {
-    changed_.wait_for(mutex_, stop, keys_pause, due);
-  } else {
+  const auto due = [this]()
+                       IOTCLOUD_REQUIRES(mutex_) { return has_news() || show_due_ || report_due_ || keys_changed_; };
+  if (spouts_activated_) {
     changed_.wait(mutex_, stop, due);
+  } else {
+    changed_.wait_until(mutex_, stop, patience, due);
   }
 }
 
@@ -131,6 +135,7 @@ void WorkerControl::run(const std::stop_token& stop) {
     {
       const config::MutexLock lock(mutex_);
       await_work(stop, patience);
+      if (std::exchange(keys_changed_, false) && refused_ && !news_) news_ = refused_;
       if (has_news()) news = std::exchange(news_, std::nullopt);
       show = std::exchange(show_due_, false);
       tell = std::exchange(report_due_, false);
@@ -144,8 +149,6 @@ void WorkerControl::run(const std::stop_token& stop) {
                             options_.topology.name);
         follow(TopologyOrder{});
         tell = true;
-      } else if (refused_by_ && options_.masters->generation() != *refused_by_) {
-        read_again();
       }
       if (show) show_topology();
       if (news || show || tell) report();
@@ -156,8 +159,7 @@ void WorkerControl::run(const std::stop_token& stop) {
 }
 
 void WorkerControl::follow(const std::optional<Node>& node, const std::stop_token& stop) {
-  refused_by_.reset();
-  const std::uint64_t keys = options_.masters ? options_.masters->generation() : 0;
+  refused_.reset();
   TopologyOrder order;
   if (node) {
     try {
@@ -170,7 +172,10 @@ void WorkerControl::follow(const std::optional<Node>& node, const std::stop_toke
       return;
     }
   }
-  if (const std::string why = node ? objection(*node, order) : ""; !why.empty()) return refuse(why, keys);
+  if (const std::string why = node ? objection(*node, order) : ""; !why.empty()) {
+    refused_ = node;
+    return refuse(why);
+  }
   // Without a node, no order that was given before this worker's start counts from now on.
   const std::int64_t start = options_.worker.since_ms - discovery::clocks_differ.count();
   oldest_ = std::max(oldest_, node ? order.given_ms : start);
@@ -257,10 +262,8 @@ bool WorkerControl::written_late(const Node& node, std::int64_t given_ms) {
   return discovery::written_late(node, given_ms + ahead);
 }
 
-/// Refuses an order that no trusted master wrote, or that is an old one that somebody wrote again. \param keys of the
-/// masters, by which that was found: their TrustedKeys::generation()
-void WorkerControl::refuse(const std::string& why, std::uint64_t keys) {
-  refused_by_ = keys;
+/// Refuses an order that no trusted master wrote, or that is an old one that somebody wrote again.
+void WorkerControl::refuse(const std::string& why) {
   if (!spouts_activated_) follow(TopologyOrder{});
   options_.services->metrics
       ->counter("iotcloud_topology_orders_refused_total", "Orders to this topology that no trusted master gave now")
@@ -269,14 +272,6 @@ void WorkerControl::refuse(const std::string& why, std::uint64_t keys) {
   if (killed_by_) return;
   record_.error = fmt::format("an order is refused: {}; this worker stays {}", why, record_.state);
   control_logger.error("topology {}: {}", options_.topology.name, record_.error);
-}
-
-void WorkerControl::read_again() {
-  try {
-    on_order(registry_.get(order_path_));
-  } catch (const RegistryError& error) {
-    control_logger.debug("the order is read when the registry answers: {}", error.what());
-  }
 }
 
 /// The registry lost the order that this worker follows. What that order said still holds: a topology that a person

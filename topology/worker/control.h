@@ -52,9 +52,6 @@ class WorkerControl {
   void end();
   /// Removes the worker's record. The last worker also removes the topology's records, except orders.
   void leave();
-  /// Reads the order once more, because other keys are trusted now. While it is refused this class looks for that
-  /// itself, too.
-  void read_again();
   discovery::WorkerRecord record() const;
   /// Shows in the worker's record what it cannot do now; empty: nothing is known.
   void show_trouble(const std::string& trouble);
@@ -67,7 +64,7 @@ class WorkerControl {
   void stay(const std::string& why);
   std::string objection(const discovery::Node& node, const discovery::TopologyOrder& order);
   bool written_late(const discovery::Node& node, std::int64_t given_ms);
-  void refuse(const std::string& why, std::uint64_t keys);
+  void refuse(const std::string& why);
   void await_work(const std::stop_token& stop, std::chrono::steady_clock::time_point patience)
       IOTCLOUD_REQUIRES(mutex_);
   bool has_news() const IOTCLOUD_REQUIRES(mutex_);
@@ -89,17 +86,18 @@ class WorkerControl {
   bool joined_ IOTCLOUD_GUARDED_BY(mutex_) = false;    ///< the worker's node was made
   bool show_due_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< the worker's node must be written again
   bool report_due_ IOTCLOUD_GUARDED_BY(mutex_) = false;
+  bool keys_changed_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< other masters' keys are trusted
   discovery::WorkerRecord record_ IOTCLOUD_GUARDED_BY(mutex_);
   std::optional<discovery::TopologyKill> killed_by_ IOTCLOUD_GUARDED_BY(mutex_);
 
-  bool spouts_activated_ = false;  ///< the spouts were activated; only thread_ uses it
-  /// The order that stands there is refused, by the keys with this TrustedKeys::generation(); only thread_ uses it.
-  std::optional<std::uint64_t> refused_by_;
+  bool spouts_activated_ = false;           ///< the spouts were activated; only thread_ uses it
+  std::optional<discovery::Node> refused_;  ///< the order that stands there, if it is refused; only thread_ uses it
   /// Signed orders that were given before this (wall time) are not followed; only thread_ uses it.
   std::int64_t oldest_ = std::numeric_limits<std::int64_t>::min();
 
   discovery::GuardPtr membership_, orders_, sessions_;
-  std::jthread thread_;  ///< last, because it uses the other members
+  std::jthread keys_watch_;  ///< TrustedKeys::on_change()
+  std::jthread thread_;      ///< last, because it uses the other members
 };
 
 }  // namespace iotcloud::topology

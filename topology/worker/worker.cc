@@ -283,9 +283,7 @@ std::string Worker::trouble() const {
 }
 
 void Worker::reload() {
-  if (!impl_->masters) return;
-  impl_->masters->reload();
-  if (impl_->control) impl_->control->read_again();
+  if (impl_->masters) impl_->masters->reload();
 }
 
 void Worker::show_http_address(std::string address, bool tls) {
