@@ -304,6 +304,37 @@ TEST_F(SpoutUnitsTest, AUnitThatEndsOnItsWayFromAnotherWorkerIsReadToItsEndHere)
   EXPECT_THAT(broker_->topics(), IsEmpty());
 }
 
+/// The driver stops just after this worker gave its unit to another one, which has not run for it yet and forgets it.
+TEST_F(SpoutUnitsTest, AUnitThatEndsAfterItWasGivenToAnotherWorkerIsReadToItsEndByWhoeverLeadsIt) {
+  read_alone({"a"});
+  units_.set_sharers({{"another", 2}});
+  units_.share_out();
+  look(SpoutUnits::look_period);
+  EXPECT_THAT(runs_for_, IsEmpty());
+  remove("a");
+  EXPECT_THAT(runs_for_, ElementsAre("a"));
+  EXPECT_THAT(look(2 * SpoutUnits::end_silence), IsEmpty()) << "if the other one leads it, that one reads it";
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+  units_.on_elected("a");
+  broker_->deliver("a");
+  settle_all();
+  const auto ended = look(2 * SpoutUnits::end_silence);
+  ASSERT_THAT(ended, SizeIs(1));
+  EXPECT_EQ(ended[0].instance, "a"_instance);
+  units_.take_resigned();
+  EXPECT_THAT(runs_for_, IsEmpty());
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+}
+
+TEST_F(SpoutUnitsTest, AUnitThatWasNeverReadHereIsForgottenWhenItEnds) {
+  units_.set_sharers({{"another", 2}});
+  add("a");
+  units_.share_out();
+  remove("a");
+  EXPECT_THAT(runs_for_, IsEmpty());
+  EXPECT_FALSE(units_.needs_look());
+}
+
 TEST_F(SpoutUnitsTest, AUnitThatEndsAndIsNeverLedHereIsNoLongerRunForInTheEnd) {
   units_.set_sharers({{"me", 2}});
   add("a");
@@ -382,8 +413,41 @@ TEST_F(SpoutUnitsTest, AfterTheFenceAllReadersAreOpenedAnew) {
   read_alone({"a", "b"});
   remove("b");
   units_.read_anew();
-  EXPECT_THAT(broker_->topics(), ElementsAre("a")) << "what has stopped is not subscribed to again";
-  EXPECT_EQ(broker_->opened, 3);
+  EXPECT_THAT(broker_->topics(), ElementsAre("a", "b"))
+      << "what its driver sent before it stopped is still at the broker";
+  EXPECT_EQ(broker_->opened, 4);
+}
+
+TEST_F(SpoutUnitsTest, AfterTheFenceAUnitWithoutChannelsIsStillReadToItsEnd) {
+  read_alone({"a"});
+  const int task = tasks_.at("a");
+  remove("a");
+  broker_->deliver("a");
+  EXPECT_THAT(look(2 * SpoutUnits::end_silence), IsEmpty()) << "a message is in hand";
+  broker_->active = false;  // until the broker has cut the old reader off
+  fence_->raise();
+  units_.read_anew();
+  EXPECT_EQ(tasks_.at("a"), task);
+  EXPECT_THAT(look(2 * SpoutUnits::end_silence), IsEmpty());
+  broker_->active = true;
+  broker_->deliver("a");  // again, because it was not settled
+  EXPECT_THAT(look(2 * SpoutUnits::end_silence), IsEmpty());
+  EXPECT_EQ(queue_->size(), 1U);
+  settle_all();
+  EXPECT_THAT(look(2 * SpoutUnits::end_silence), SizeIs(1));
+  units_.take_resigned();
+  EXPECT_THAT(runs_for_, IsEmpty());
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+}
+
+TEST_F(SpoutUnitsTest, AfterTheFenceAUnitThatEndsAndIsNotLedYetStillWaitsForItsElection) {
+  units_.set_sharers({{"me", 2}});
+  add("a");
+  remove("a");
+  units_.read_anew();
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+  units_.on_elected("a");
+  EXPECT_THAT(broker_->topics(), ElementsAre("a"));
 }
 
 }  // namespace

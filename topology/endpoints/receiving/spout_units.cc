@@ -31,7 +31,8 @@ void SpoutUnits::remove(const std::string& name, const discovery::InstanceId& in
     if (unit.task >= 0) read(unit);
     return;
   }
-  if (end == End::when_silent && unit.candidacy) {
+  if (end == End::when_silent && (unit.candidacy || unit.given_away)) {
+    run_for_leader(name, unit);
     read_to_the_end(name);
   } else {
     release(name, unit);
@@ -46,15 +47,12 @@ void SpoutUnits::undeployed(const discovery::InstanceId& instance) {
   }
 }
 
-/// The last channel of a unit is gone: the unit leaves the placement, and is read to its end. If another worker still
-/// leads it, that begins with this worker's election: the other one was about to give the unit up, and may have left
-/// messages.
+/// The last channel of a unit is gone: the unit leaves the placement, and is read to its end. If this worker does not
+/// lead it, that begins with this worker's election: another one was about to give the unit up, and may have left
+/// messages, or was about to take it, and may not have run for it when its channel went.
 void SpoutUnits::read_to_the_end(const std::string& name) {
   Unit& unit = units_.at(name);
-  if (std::exchange(unit.move, Move::none) != Move::none) {  // its readers take nothing any more
-    unit.readers.close();
-    read(unit);
-  }
+  if (std::exchange(unit.move, Move::none) != Move::none) open_anew(unit);  // its readers take nothing any more
   if (const auto& [instance, channel] = *unit.channels.begin(); !channel.record.shared) {
     unit.instance = instance;
     unit.topic = channel.topic;
@@ -69,11 +67,14 @@ void SpoutUnits::read_to_the_end(const std::string& name) {
   ending_.insert(units_.extract(name));
 }
 
-/// From now on the unit has readers, which are open, and no channels.
+/// The unit's readers are open, and stay so until look() has seen it idle for long enough.
 void SpoutUnits::begin_end(Unit& unit) {
-  unit.channels.clear();
   unit.last_task = std::exchange(unit.task, -1);
   unit.looks_left = static_cast<int>(longest_end / look_period);
+  count_anew(unit);
+}
+
+void SpoutUnits::count_anew(Unit& unit) {
   unit.idle_looks = 0;
   unit.taken = unit.readers.taken();
   unit.in_hand = unit.readers.in_hand();
@@ -85,7 +86,7 @@ void SpoutUnits::begin_again(const std::string& name) {
   if (ending == ending_.end()) return;
   Unit& unit = ending->second;
   if (unit.waits_for_election()) {
-    unit.channels.clear();
+    unit.channels.clear();  // add() has what its channel is now
     units_.insert(ending_.extract(ending));
     needs_sharing_ = true;
     return;
@@ -95,7 +96,8 @@ void SpoutUnits::begin_again(const std::string& name) {
     ending_.erase(ending);
     return;
   }
-  unit.task = unit.last_task;
+  unit.channels.clear();
+  unit.task = std::exchange(unit.last_task, -1);
   loads_.add(static_cast<std::size_t>(unit.task), unit.kind);
   ++changes_.taken;
   units_.insert(ending_.extract(ending));
@@ -137,6 +139,7 @@ void SpoutUnits::run_for_leader(const std::string& name, Unit& unit) {
   // it stays in this worker after all, and is read again when it is drained
   if (unit.move == Move::to_worker) unit.move = Move::to_task;
   if (!unit.candidacy) unit.candidacy = options_.run_for_leader(name);
+  unit.given_away = false;
 }
 
 void SpoutUnits::balance() {
@@ -203,11 +206,18 @@ void SpoutUnits::registry_back() {
 
 void SpoutUnits::read_anew() {
   for (auto& [name, unit] : units_) {
-    if (unit.task < 0) continue;
-    unit.readers.close();
-    read(unit);
+    if (unit.task >= 0) open_anew(unit);
   }
-  for (auto& [name, unit] : ending_) unit.readers.close();  // what they brought is void, and their drivers have stopped
+  for (auto& [name, unit] : ending_) {
+    if (unit.waits_for_election()) continue;
+    open_anew(unit);
+    count_anew(unit);
+  }
+}
+
+void SpoutUnits::open_anew(Unit& unit) {
+  unit.readers.close();
+  read(unit);
 }
 
 /// Closes the unit's readers that no channel needs any more, and opens those that are missing.
@@ -217,7 +227,7 @@ void SpoutUnits::read(Unit& unit) {
   unit.readers.keep_only(wanted);
   if (unit.move != Move::none) return;  // look() opens them when the move is over
   unit.readers.open_missing(wanted, [&](const discovery::ChannelRecord& channel, const UnitReaders::Key& topic) {
-    return options_.open_reader(channel, topic, unit.partition, unit.task);
+    return options_.open_reader(channel, topic, unit.partition, unit.task >= 0 ? unit.task : unit.last_task);
   });
 }
 
@@ -279,10 +289,10 @@ void SpoutUnits::look_at_moves() {
     }
     if (moves && found->second.move == Move::to_worker && !found->second.frozen) {
       release(*name, found->second);
+      found->second.given_away = true;
     } else if (moves) {
       found->second.move = Move::none;
-      found->second.readers.close();
-      read(found->second);
+      open_anew(found->second);
     }
     name = moving_.erase(name);
   }

@@ -37,7 +37,8 @@ class SpoutUnits {
   /// (what the driver had sent may be hours of messages), nor does time in which its broker is away. Nobody waits for
   /// this: the order to stop an instance is answered without it, and close() ends it when the worker is stopped. A unit
   /// is given up after `longest_end` in any case. What is given up stays at the broker for the instance's next life. A
-  /// unit that was about to come here from another worker is read to its end, too, once this worker leads it.
+  /// unit that was about to come here from another worker is read to its end, too, once this worker leads it; so is one
+  /// that this worker gave to another one, because that one may not have run for it when its channel went.
   static constexpr std::chrono::milliseconds end_silence{1000}, stuck_limit{30'000};
   static constexpr std::chrono::minutes longest_end{60};
 
@@ -97,8 +98,8 @@ class SpoutUnits {
   void on_lost(const std::string& name, bool registry_away);
   /// The registry is back: gives up the units that were kept without it, unless this worker leads them again.
   void registry_back();
-  /// Closes and opens all readers after the fence was raised: the broker then delivers only to the reader that it
-  /// accepts now.
+  /// Closes and opens all readers after the fence was raised, those of units that are being read to their end, too: the
+  /// broker then delivers only to the reader that it accepts now, and again what was not settled.
   void read_anew();
   /// Continues moves and ends. \return the exclusive channels whose units ended
   std::vector<EndedTopic> look();
@@ -142,26 +143,27 @@ class SpoutUnits {
     explicit Unit(std::size_t& reader_count) : readers(reader_count) {}
 
     UnitKind kind = UnitKind::instance;
-    std::optional<std::int32_t> partition;  ///< of the topics; nullopt: all of it
-    std::map<discovery::InstanceId, Channel> channels;
+    std::optional<std::int32_t> partition;              ///< of the topics; nullopt: all of it
+    std::map<discovery::InstanceId, Channel> channels;  ///< while it ends: the one that went last
     discovery::GuardPtr candidacy;  ///< of run_for_leader(); null: the unit is another worker's share
     bool leads = false;
-    bool frozen = false;  ///< leadership was lost because the registry is away: reading goes on until it is back
-    int task = -1;        ///< index of the task that reads it; -1: it is not read here
+    bool frozen = false;      ///< leadership was lost because the registry is away: reading goes on until it is back
+    bool given_away = false;  ///< it was read here and moved to another worker, which may not run for it yet
+    int task = -1;            ///< index of the task that reads it; -1: it is not read here
     Move move = Move::none;
     int looks_left = 0;  ///< while it moves: how often look() still waits for it; while it ends: at most
     // While it ends:
     discovery::InstanceId instance;         ///< whose exclusive channel it had; empty: its channels were shared
     std::optional<UnitReaders::Key> topic;  ///< of that channel
     bool undeployed = false;                ///< that instance's record is gone
-    int last_task = -1;                     ///< the task that reads it
+    int last_task = -1;                     ///< the task that reads it; -1: it is not read here yet
     int idle_looks = 0;                     ///< how often in a row look() has seen it idle
     std::size_t taken = 0;                  ///< UnitReaders::taken() at the last look
     std::size_t in_hand = 0;                ///< UnitReaders::in_hand() at the last look
     UnitReaders readers;
 
-    /// Of a unit that ends: whether another worker still leads it, so that it is not read here yet.
-    bool waits_for_election() const { return !channels.empty(); }
+    /// Of a unit that ends: whether this worker does not lead it yet.
+    bool waits_for_election() const { return last_task < 0; }
   };
 
   bool alone() const { return sharers_.size() == 1 && sharers_.front().worker == options_.worker; }
@@ -171,9 +173,11 @@ class SpoutUnits {
   std::vector<EndedTopic> look_at_ends();
   void read_to_the_end(const std::string& name);
   void begin_end(Unit& unit);
+  static void count_anew(Unit& unit);
   void begin_again(const std::string& name);
   void release(const std::string& name, Unit& unit);
   void stop_reading(const std::string& name, Unit& unit);
+  void open_anew(Unit& unit);
   void read(Unit& unit);
 
   const Options options_;
