@@ -418,6 +418,21 @@ TEST_F(SpoutUnitsTest, AfterTheFenceAllReadersAreOpenedAnew) {
   EXPECT_EQ(broker_->opened, 4);
 }
 
+TEST_F(SpoutUnitsTest, AfterTheFenceNothingIsReadBeforeItIsKnownWhoLeads) {
+  read_alone({"a", "b", "c"});
+  remove("c");
+  units_.hold_back();
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+  EXPECT_THAT(look(2 * SpoutUnits::end_silence), IsEmpty()) << "what is not read has not been read to its end";
+  units_.on_lost("a", true);
+  units_.on_lost("b", true);
+  units_.on_elected("b");
+  units_.registry_back();
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+  units_.read_anew();
+  EXPECT_THAT(broker_->topics(), ElementsAre("b", "c")) << "another worker leads a";
+}
+
 TEST_F(SpoutUnitsTest, AfterTheFenceAUnitWithoutChannelsIsStillReadToItsEnd) {
   read_alone({"a"});
   const int task = tasks_.at("a");

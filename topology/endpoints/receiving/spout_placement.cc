@@ -28,6 +28,10 @@ constexpr std::chrono::milliseconds limit_pause{500};
 constexpr std::chrono::seconds arrivals_pause{1};
 constexpr std::size_t most_questions = 200;
 
+/// After the fence was raised: how often the registry is asked whether it is there, and for how long at most. Without
+/// it reading goes on.
+constexpr std::chrono::milliseconds question_pause{10}, question_limit{2000};
+
 /// The name of a channel's unit: for an exclusive channel that of its driver instance, for a shared one that of its
 /// gateway, with the partition's number behind a mark that no id has. The unit of partition 0 has the name of the
 /// whole, so that it stays when the topic is given more partitions.
@@ -137,9 +141,10 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
           static_cast<double>(facts.backlog.messages));
     }
   });
-  search->listener = services_->fence->listen([this] { plan_soon(&SpoutPlacement::anew_, &SpoutUnits::read_anew); });
+  search->listener =
+      services_->fence->listen([this] { plan_soon(&SpoutPlacement::anew_, &SpoutPlacement::hold_back); });
   services_->units->listen(source, component_,
-                           [this] { plan_soon(&SpoutPlacement::shared_anew_, &SpoutUnits::share_out); });
+                           [this] { plan_soon(&SpoutPlacement::shared_anew_, &SpoutPlacement::share_out); });
   search->session = registry.on_session([this](discovery::SessionState state) {
     in_turn([&] {
       dispatcher_.assert_held();
@@ -258,17 +263,18 @@ void SpoutPlacement::plan_what_follows() {
   if (units_.size() > 0 && !endpoint_.reading.automatic_ack) {
     plan(plans_.limit, limit_pause, &SpoutPlacement::look_for_limit);
   }
+  if (units_.held_back()) plan(plans_.anew, question_pause, &SpoutPlacement::read_anew);
   if (units_.readers() > 0) plan(plans_.arrivals, arrivals_pause, &SpoutPlacement::look_at_arrivals);
 }
 
-void SpoutPlacement::plan_soon(discovery::GuardPtr SpoutPlacement::*timer, void (SpoutUnits::*call)()) {
+void SpoutPlacement::plan_soon(discovery::GuardPtr SpoutPlacement::*timer, void (SpoutPlacement::*call)()) {
   const config::MutexLock lock(mutex_);
   if (over_ || this->*timer) return;
   this->*timer = services_->registry->after(std::chrono::milliseconds(0), [this, timer, call] {
     in_turn([&] {
       dispatcher_.assert_held();
       const auto planned = take(timer);  // destroyed here, inside its own call, so that nobody waits for that call
-      (units_.*call)();
+      (this->*call)();
     });
   });
 }
@@ -513,6 +519,24 @@ std::shared_ptr<TopicReader> SpoutPlacement::open_reader(const discovery::Channe
 }
 
 // What plan_what_follows() plans.
+
+void SpoutPlacement::hold_back() {
+  units_.hold_back();
+  registry_answered_ = false;
+  questions_left_ = static_cast<int>(question_limit / question_pause);
+}
+
+/// Reads anew when the registry has answered, and what it had to say of elections before has been heard.
+void SpoutPlacement::read_anew() {
+  if (registry_answered_ || questions_left_-- <= 0) return units_.read_anew();
+  if (services_->registry->session() != discovery::SessionState::connected) return;
+  try {
+    services_->registry->get(path_ + "/members/" + services_->worker);
+    registry_answered_ = true;
+  } catch (const discovery::RegistryError& error) {
+    endpoints_logger.debug("{}: {}", component_, error.what());
+  }
+}
 
 void SpoutPlacement::share_out() {
   units_.share_out();

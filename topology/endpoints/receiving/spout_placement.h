@@ -83,7 +83,7 @@ class SpoutPlacement {
   std::shared_ptr<SpoutQueue> queue_of(int task) IOTCLOUD_EXCLUDES(mutex_);
   /// Plans `call` in a turn soon, unless that is planned already. Any thread may call it. \param timer anew_ or
   /// shared_anew_
-  void plan_soon(discovery::GuardPtr SpoutPlacement::*timer, void (SpoutUnits::*call)()) IOTCLOUD_EXCLUDES(mutex_);
+  void plan_soon(discovery::GuardPtr SpoutPlacement::*timer, void (SpoutPlacement::*call)()) IOTCLOUD_EXCLUDES(mutex_);
   discovery::GuardPtr take(discovery::GuardPtr SpoutPlacement::*timer) IOTCLOUD_EXCLUDES(mutex_);
 
   // These functions run on the registry's dispatcher.
@@ -123,13 +123,15 @@ class SpoutPlacement {
     discovery::GuardPtr timer;
   };
   struct PlannedCalls {
-    PlannedCall sharing, looking, telling, limit, arrivals, missing;
+    PlannedCall sharing, looking, telling, limit, arrivals, missing, anew;
   };
   /// Plans a call, unless it is planned already.
   void plan(PlannedCall& plan, std::chrono::milliseconds pause, void (SpoutPlacement::*call)())
       IOTCLOUD_REQUIRES(dispatcher_);
   /// Plans the calls that the units need after what a callback did to them.
   void plan_what_follows() IOTCLOUD_REQUIRES(dispatcher_);
+  void hold_back() IOTCLOUD_REQUIRES(dispatcher_);
+  void read_anew() IOTCLOUD_REQUIRES(dispatcher_);
   void share_out() IOTCLOUD_REQUIRES(dispatcher_);
   void look() IOTCLOUD_REQUIRES(dispatcher_);
   void look_for_limit() IOTCLOUD_REQUIRES(dispatcher_);
@@ -150,9 +152,9 @@ class SpoutPlacement {
   bool in_turn_ IOTCLOUD_GUARDED_BY(mutex_) = false;                               ///< a callback runs
   std::map<int, std::shared_ptr<SpoutQueue>> queues_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by task index
   bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
-  /// Timer that calls SpoutUnits::read_anew(); null: no such call is planned.
+  /// Timer that calls hold_back(); null: no such call is planned.
   discovery::GuardPtr anew_ IOTCLOUD_GUARDED_BY(mutex_);
-  /// Timer that calls SpoutUnits::share_out() because of another spout's units; null: no such call is planned.
+  /// Timer that calls share_out() because of another spout's units; null: no such call is planned.
   discovery::GuardPtr shared_anew_ IOTCLOUD_GUARDED_BY(mutex_);
 
   /// The registry's dispatcher, in in_turn(); before it the last join(), after it the first leave().
@@ -170,6 +172,9 @@ class SpoutPlacement {
   /// The instances of differences_, as the troubles name them: mostly all of a gateway have the same difference.
   std::map<Difference, std::set<discovery::InstanceId>> differing_ IOTCLOUD_GUARDED_BY(dispatcher_);
   PlannedCalls plans_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  // While the readers are held back:
+  bool registry_answered_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;
+  int questions_left_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;  ///< how often it is asked at most
   /// Outgoing channels of instances that do not have the wanted one; the plan `missing` calls warn_of_missing().
   std::set<std::string> others_ IOTCLOUD_GUARDED_BY(dispatcher_);
   bool warned_of_missing_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;  ///< or the call is planned

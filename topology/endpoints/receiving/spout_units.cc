@@ -204,7 +204,14 @@ void SpoutUnits::registry_back() {
 
 // Readers.
 
+void SpoutUnits::hold_back() {
+  held_back_ = true;
+  for (auto& [name, unit] : units_) unit.readers.close();
+  for (auto& [name, unit] : ending_) unit.readers.close();
+}
+
 void SpoutUnits::read_anew() {
+  held_back_ = false;
   for (auto& [name, unit] : units_) {
     if (unit.task >= 0) open_anew(unit);
   }
@@ -226,6 +233,7 @@ void SpoutUnits::read(Unit& unit) {
   for (const auto& [instance, channel] : unit.channels) wanted.emplace(channel.topic, &channel.record);
   unit.readers.keep_only(wanted);
   if (unit.move != Move::none) return;  // look() opens them when the move is over
+  if (held_back_) return;               // read_anew() opens them
   unit.readers.open_missing(wanted, [&](const discovery::ChannelRecord& channel, const UnitReaders::Key& topic) {
     return options_.open_reader(channel, topic, unit.partition, unit.task >= 0 ? unit.task : unit.last_task);
   });
@@ -314,7 +322,7 @@ std::vector<SpoutUnits::EndedTopic> SpoutUnits::look_at_ends() {
     const std::size_t taken = unit.readers.taken(), in_hand = unit.readers.in_hand();
     const bool nothing_came = std::exchange(unit.taken, taken) == taken;
     const bool nothing_settled = std::exchange(unit.in_hand, in_hand) == in_hand;
-    const bool idle = nothing_came && nothing_settled && !unit.readers.cut_off();
+    const bool idle = nothing_came && nothing_settled && !held_back_ && !unit.readers.cut_off();
     unit.idle_looks = idle ? unit.idle_looks + 1 : 0;
     const bool over = in_hand == 0 && unit.idle_looks * look_period >= end_silence;
     const bool stuck = unit.idle_looks * look_period >= stuck_limit;

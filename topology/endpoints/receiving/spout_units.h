@@ -98,8 +98,12 @@ class SpoutUnits {
   void on_lost(const std::string& name, bool registry_away);
   /// The registry is back: gives up the units that were kept without it, unless this worker leads them again.
   void registry_back();
-  /// Closes and opens all readers after the fence was raised, those of units that are being read to their end, too: the
-  /// broker then delivers only to the reader that it accepts now, and again what was not settled.
+  /// Closes all readers after the fence was raised. None is opened before read_anew(): until the registry has said who
+  /// leads, other workers may read these units, and a broker's client may still have messages that those have handled.
+  void hold_back();
+  bool held_back() const { return held_back_; }
+  /// Opens all readers again, those of units that are being read to their end, too: the broker then delivers only to
+  /// the reader that it accepts now, and again what was not settled.
   void read_anew();
   /// Continues moves and ends. \return the exclusive channels whose units ended
   std::vector<EndedTopic> look();
@@ -190,6 +194,7 @@ class SpoutUnits {
   TaskLoads loads_;
   std::vector<discovery::GuardPtr> resigned_;  ///< of released units
   bool needs_sharing_ = false;
+  bool held_back_ = false;  ///< no reader is opened
   Changes changes_;
 };
 
