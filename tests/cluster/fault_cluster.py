@@ -174,6 +174,10 @@ class FaultCluster(PrivateCluster):
         """Names of the units by the worker that leads them, according to the logs."""
         return {name: sum(event.what == "leads" for event in self.timeline([name])) for name in self.pages}
 
+    def reading(self):
+        """The worker to which the first message of a unit came last, by unit."""
+        return {event.unit: event.worker for event in self.timeline() if event.what == "reads"}
+
     def timeline(self, workers=None):
         """The events of the drivers' units in the workers' logs, in order of time."""
         events = []
