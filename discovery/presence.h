@@ -23,6 +23,10 @@ struct GatewayLife {
   friend bool operator==(const GatewayLife&, const GatewayLife&) = default;
 };
 
+/// ReaderRecord::engine: workers of ours, of a pool or started by hand; and Apache Storm.
+inline constexpr const char* engine_workers = "workers";
+inline constexpr const char* engine_storm = "storm";
+
 /// A worker that reads a driver's channel as one of a group: an ephemeral node below Paths::readers().
 struct ReaderRecord {
   TopologyName topology;
@@ -34,13 +38,14 @@ struct ReaderRecord {
   /// All spouts of its topology that read the driver in this group, with what decides about their shares; empty: one
   /// spout only, or an older worker.
   std::string spouts;
+  std::string engine;  ///< what runs its topology: engine_workers, engine_storm; empty: an older worker, of either
   static constexpr int max_tasks = 1'000'000;
   static constexpr const char* what = "a reader of a group";
   static constexpr auto fields =
       std::tuple{IOTCLOUD_FIELD(topology, required), IOTCLOUD_FIELD(tasks, required),
                  IOTCLOUD_FIELD(shares, required),   IOTCLOUD_FIELD(broker, required),
                  IOTCLOUD_FIELD(where, required),    IOTCLOUD_FIELD_AS(since_ms, required, "since", since),
-                 IOTCLOUD_FIELD(spouts, rare)};
+                 IOTCLOUD_FIELD(spouts, rare),       IOTCLOUD_FIELD(engine, rare)};
   friend bool operator==(const ReaderRecord&, const ReaderRecord&) = default;
 };
 

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/config/clock.h>
+#include <iotcloud/discovery/name_taken.h>
 #include <iotcloud/master/logger.h>
 #include <iotcloud/master/orders/node_name.h>
 #include <iotcloud/master/orders/order_kind.h>
@@ -138,6 +139,8 @@ OrderResult Submissions::submit_checked(const SubmitRequest& request) {
   if (discovery::list_pools(desk_.registry, desk_.options.paths).empty())
     return refuse(OrderRefusal::bad_request,
                   "no pool of workers runs; start one on a machine: iotcloud-topology --pool --config pool.yaml");
+  if (auto taken = discovery::taken_by_storm(desk_.registry, desk_.options.paths, request.topology); !taken.empty())
+    return refuse(OrderRefusal::bad_request, std::move(taken));
   const auto by_hand = discovery::list_workers(desk_.registry, desk_.options.paths, request.topology);
   Submission given;
   auto refusal = rewrite(request.topology, *lead, [&](Submission& submission) -> std::optional<OrderResult> {

@@ -107,7 +107,10 @@ TEST(HostileRecords, WhatAReaderSaysOfItselfHasTypes) {
   reader.broker = "rabbitmq";
   reader.where = "x == 1";
   reader.since_ms = 5;
+  reader.engine = engine_storm;
   EXPECT_EQ(decode_reader(encode(reader), "/r"), reader);
+  const std::string older = R"({"topology":"t","shares":false,"broker":"b","where":"","since":1,"tasks":1})";
+  EXPECT_EQ(decode_reader(older, "/r").engine, "") << "as older workers say it";
   EXPECT_THAT(refused(decode_reader, R"({"tasks":1})"), HasSubstr("is missing"));
   for (const std::string tasks : {"0", "-1", "1000001", "1e9"}) {
     const std::string bytes =

@@ -6,6 +6,7 @@
 #include <gtest/gtest.h>
 
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/presence.h>
 #include <iotcloud/discovery/submissions.h>
 #include <iotcloud/master/orders/submission_orders.h>
 #include <iotcloud/tests/discovery/id_literals.h>
@@ -148,6 +149,20 @@ TEST_F(Submissions, AreRefusedUnderTheNameOfWorkersThatWereStartedByHand) {
   worker.name = "by-hand";
   const auto held = master_.registry().hold(discovery::Paths().workers("t"_topology) + "/by-hand", encode(worker));
   EXPECT_THAT(submit().text, AllOf(HasSubstr("runs already"), HasSubstr("by-hand")));
+}
+
+TEST_F(Submissions, AreRefusedUnderTheNameOfATopologyThatStormRuns) {
+  FakePool pool(url_, "p1");
+  discovery::ReaderRecord reader;
+  reader.topology = "t"_topology;
+  reader.engine = discovery::engine_storm;
+  auto held =
+      master_.registry().hold(discovery::Paths().readers("t", "d"_driver, "up") + "/members/slot-1", encode(reader));
+  EXPECT_THAT(submit().text, AllOf(HasSubstr("Apache Storm runs a topology t already"), HasSubstr("worker slot-1"),
+                                   HasSubstr("topology kill t --engine storm")));
+  EXPECT_EQ(standing().version.number, 0);
+  held.reset();
+  EXPECT_TRUE(submit().all_done());
 }
 
 TEST_F(Submissions, AreTakenBackWhenAWorkerCannotRun) {

@@ -10,6 +10,7 @@
 #include <iotcloud/brokers/broker_pool.h>
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/discovery/presence.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/topology/definition/definition.h>
@@ -25,9 +26,10 @@ namespace iotcloud::topology {
 /// The objects that the endpoints of a worker share. The worker fills it before the topology starts; it is constant
 /// from then on.
 struct EndpointServices {
-  discovery::TopologyName topology;         ///< also the name of a spout's group if YAML sets none
-  std::string worker;                       ///< this worker's name below Paths::workers(topology)
-  discovery::Registry* registry = nullptr;  ///< must outlive the topology
+  discovery::TopologyName topology;                ///< also the name of a spout's group if YAML sets none
+  std::string worker;                              ///< this worker's name below Paths::workers(topology)
+  std::string engine = discovery::engine_workers;  ///< discovery::ReaderRecord::engine
+  discovery::Registry* registry = nullptr;         ///< must outlive the topology
   discovery::Paths paths;
   /// By logical broker name: how to connect. URLs that are set here replace those in the channels' records; credentials
   /// come with URLs always (definition.cc).

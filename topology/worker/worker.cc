@@ -11,6 +11,7 @@
 #include <iotcloud/config/exposure.h>
 #include <iotcloud/config/log.h>
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/discovery/name_taken.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/security/certificate_days.h>
 #include <iotcloud/security/trusted_keys.h>
@@ -32,6 +33,9 @@ constexpr std::chrono::milliseconds reserve{700};
 
 /// Limit for closing the topology after a kill order's drain; user code that hangs longer is left running.
 constexpr std::chrono::milliseconds after_drain{3000};
+
+/// How long a starting worker waits for the registry before it does without.
+constexpr std::chrono::milliseconds registry_patience{2000};
 
 /// How often the brokers are looked at.
 constexpr std::chrono::milliseconds look_pause{500};
@@ -92,6 +96,7 @@ struct Worker::Impl {
     services->registry = options.registry;
     if (!options.fence && services->clock == &config::system_clock())
       heart.emplace(*services->fence, longest_standstill(*services));
+    if (!name_is_free(stop)) return;
     if (const std::string crossed = crossings(options.definition, topology);
         !crossed.empty() && !stay_alone(crossed, stop))
       return;
@@ -137,6 +142,43 @@ struct Worker::Impl {
     return end.wait_for(mutex, stop, time, [&] { return stop.stop_requested(); });
   }
 
+  /// Waits until the registry answers. \return false if it does not, or if a stop was asked for meanwhile
+  bool registry_answers(const std::stop_token& stop) {
+    const auto deadline = std::chrono::steady_clock::now() + registry_patience;
+    while (options.registry->session() != discovery::SessionState::connected) {
+      if (std::chrono::steady_clock::now() >= deadline || pause(std::chrono::milliseconds(10), stop)) return false;
+    }
+    return true;
+  }
+
+  /// Makes sure that Apache Storm runs no topology of this name. The nodes of its workers that were killed stay until
+  /// their sessions expire, so this waits that long for them. When the registry does not tell, the worker runs, and the
+  /// groups of readers see to it that only one of the two reads. \return false if a stop was asked for meanwhile.
+  bool name_is_free(const std::stop_token& stop) {
+    if (!registry_answers(stop)) {
+      if (stop.stop_requested()) return false;
+      worker_logger.warn("topology {}: the registry is away, so this worker cannot tell whether Storm runs one, too",
+                         topology.name);
+      return true;
+    }
+    const auto deadline =
+        std::chrono::steady_clock::now() + options.definition.registry.session_timeout + std::chrono::seconds(2);
+    for (bool told = false;;) {
+      std::string taken;
+      try {
+        taken = discovery::taken_by_storm(*options.registry, services->paths, services->topology);
+      } catch (const discovery::RegistryError& error) {
+        worker_logger.warn("topology {}: whether Storm runs one, too, cannot be told: {}", topology.name, error.what());
+      }
+      if (taken.empty()) return true;
+      if (std::chrono::steady_clock::now() >= deadline) throw options.definition.root.error("topology.name", taken);
+      if (!std::exchange(told, true))
+        worker_logger.warn(
+            "{}; this worker waits for the end of that one for as long as the session of a dead one lasts", taken);
+      if (pause(std::chrono::milliseconds(100), stop)) return false;
+    }
+  }
+
   /// Makes sure that this is the topology's only worker, by an ephemeral node that only one worker can hold. The node
   /// of a worker that was killed stays until its session expires, so this waits that long for it. \return false if a
   /// stop was asked for meanwhile.
@@ -171,8 +213,11 @@ struct Worker::Impl {
             "another worker runs topology \"" + topology.name +
                 "\", and these inputs reach across drivers, of which each worker would have only its share:\n" +
                 crossed,
-            "if each worker should process its share only, give these bolts \"scope: worker\" (or write "
-            "\"topology.scope: worker\"); otherwise run one worker, or use a key with driverID");
+            "run it on Apache Storm, which carries tuples from worker to worker (docs/storm.md): iotcloud topology "
+            "submit "
+            "--engine storm; or run one worker; or use a key with driverID; or, if each worker should process its "
+            "share "
+            "only, give these bolts \"scope: worker\" (or write \"topology.scope: worker\")");
       }
       if (!std::exchange(told, true)) {
         worker_logger.warn(

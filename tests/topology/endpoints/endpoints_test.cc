@@ -14,6 +14,7 @@
 #include <iotcloud/brokers/embedded/server.h>
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/discovery/presence.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/tests/captured_log.h>
@@ -496,7 +497,8 @@ TEST_F(Endpoints, RefuseASecondWorkerWhereTuplesOfSeveralDriversAreToMeetUnlessT
     FAIL() << "two workers run";
   } catch (const config::Error& error) {
     EXPECT_THAT(error.what(),
-                AllOf(HasSubstr("another worker runs"), HasSubstr("gate <- in, global"), HasSubstr("scope: worker")));
+                AllOf(HasSubstr("another worker runs"), HasSubstr("gate <- in, global"), HasSubstr("scope: worker"),
+                      HasSubstr("(docs/storm.md): iotcloud topology submit --engine storm")));
   }
   EXPECT_THAT(log.text(), HasSubstr("topology t: another worker holds the place of the only one; this one waits up to "
                                     "2400 ms"));
@@ -521,6 +523,33 @@ TEST_F(Endpoints, AStopEndsTheWaitOfAWorkerThatMustBeTheOnlyOne) {
   });
   const Worker& second = run_yaml(yaml, components, stop.get_token());
   EXPECT_TRUE(second.snapshot().tasks.empty()) << "it does not run";
+}
+
+TEST_F(Endpoints, RefuseAWorkerOfATopologyThatStormRunsUnderTheSameName) {
+  const std::string yaml =
+      "topology.name: t\nregistry.session_timeout: 400ms\nspouts:\n"
+      "  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], builder: text}\nbolts:\n"
+      "  gate: {class: Gate, inputs: {from: in}}\n";
+  ComponentRegistry components;
+  components.add_bolt<GateBolt>("Gate");
+  discovery::ReaderRecord reader;
+  reader.topology = discovery::TopologyName("t");
+  reader.engine = discovery::engine_storm;
+  auto reads = registry_->hold("/iot/groups/own/d/up/members/slot-1", encode(reader));
+  try {
+    run_yaml(yaml, components);
+    FAIL() << "both run";
+  } catch (const config::Error& error) {
+    EXPECT_THAT(error.what(), AllOf(HasSubstr("t.yaml:1:1: topology.name: Apache Storm runs a topology t already"),
+                                    HasSubstr("slot-1 reads channel up of driver d"), HasSubstr("--engine storm")));
+  }
+  const tests::CapturedLog log;
+  std::jthread ends([&] {
+    EXPECT_TRUE(eventually([&] { return log.contains("waits for the end of that one"); }));
+    reads.reset();
+  });
+  const Worker& second = run_yaml(yaml, components);
+  EXPECT_FALSE(second.snapshot().tasks.empty()) << "it runs when that one has ended";
 }
 
 TEST_F(Endpoints, RefuseAWorkerWithoutRegistry) {

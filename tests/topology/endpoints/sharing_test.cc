@@ -11,6 +11,7 @@
 #include <gtest/gtest.h>
 
 #include <iotcloud/discovery/embedded/server.h>
+#include <iotcloud/discovery/presence.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/servers/private_server.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
@@ -368,6 +369,30 @@ TEST_F(MembersOfAGroup, AreToldInWhatTheyDifferFromTheFirst) {
   EXPECT_THAT(alone.problem(), HasSubstr("\"topology of silent\" does not say that it shares"));
   EXPECT_THAT(alone.workers(), ElementsAre("first"));
   EXPECT_EQ(first.problem(), "");
+}
+
+TEST_F(MembersOfAGroup, OfOneTopologyOnTwoEnginesAreToldThatOneOfThemReadsNothing) {
+  auto ours = member("ours", 10), storms = member("storms", 20), older = member("older", 30);
+  ours.engine = discovery::engine_workers;
+  storms.engine = discovery::engine_storm;
+  storms.topology = older.topology = ours.topology;
+  Told first(*registry_, ours), second(*registry_, storms), third(*registry_, older);
+  EXPECT_TRUE(eventually([&] { return second.workers().size() == 2 && third.workers().size() == 2; }));
+  EXPECT_THAT(second.problem(),
+              HasSubstr("worker ours of topology \"topology of ours\" runs on workers of ours, this one "
+                        "on Apache Storm"));
+  EXPECT_THAT(second.workers(), ElementsAre("ours", "older"));
+  EXPECT_EQ(first.problem(), "");
+  EXPECT_EQ(third.problem(), "") << "an older worker says nothing of its engine";
+}
+
+TEST_F(MembersOfAGroup, OfTopologiesThatNameTheGroupMayBeOnTwoEngines) {
+  auto ours = member("ours", 10), storms = member("storms", 20);
+  ours.engine = discovery::engine_workers;
+  storms.engine = discovery::engine_storm;
+  Told first(*registry_, ours), second(*registry_, storms);
+  EXPECT_TRUE(eventually([&] { return second.workers().size() == 2; }));
+  EXPECT_EQ(second.problem(), "");
 }
 
 TEST_F(MembersOfAGroup, AreToldWhetherAllOfThemHaveTheSameSpoutsOfTheDriver) {

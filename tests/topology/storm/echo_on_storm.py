@@ -61,6 +61,13 @@ def deploy(cluster, folder, broker, first, count):
     return reports
 
 
+def refuse_a_worker_of_ours(build, file):
+    """Storm has the topology's name: a worker of ours ends, and says so."""
+    done = subprocess.run([build / "bin" / "iotcloud-topology", "--config", file], capture_output=True, text=True,
+                          timeout=LIMIT_S, check=False)
+    require(done.returncode != 0 and "Apache Storm runs a topology echo already" in done.stderr, "it runs beside Storm's: %s" % done)
+
+
 def run(build, folder, broker):
     properties = OF_BROKERS[broker][0]
     storm = Storm(folder / "storm")
@@ -76,6 +83,7 @@ def run(build, folder, broker):
             print(storm_program(build, storm, "submit", file), end="")
             reports = deploy(cluster, folder, broker, 0, DRIVERS)
             wait_for("both workers read", lambda: len(lines_about_units(storm)) >= 2, LIMIT_S)
+            refuse_a_worker_of_ours(build, file)
             late = deploy(cluster, folder, broker, DRIVERS, 1)
             workers = storm.running_workers()
             require(len(workers) == 2, "two workers run: %s" % workers)

@@ -16,7 +16,7 @@ constexpr std::chrono::milliseconds retry_pause{500};
 
 std::string encode(const ReadingGroup::Member& member) {
   return discovery::encode(discovery::ReaderRecord{member.topology, member.sharer.tasks, member.shares, member.broker,
-                                                   member.where, member.since_ms, member.spouts});
+                                                   member.where, member.since_ms, member.spouts, member.engine});
 }
 
 /// \throws config::Error when the bytes are no valid record.
@@ -24,12 +24,20 @@ ReadingGroup::Member decode(const std::string& worker, const std::string& bytes,
   auto reader = discovery::decode_reader(bytes, path);
   return {{worker, reader.tasks},   std::move(reader.topology), reader.shares,
           std::move(reader.broker), std::move(reader.where),    reader.since_ms,
-          std::move(reader.spouts)};
+          std::move(reader.spouts), std::move(reader.engine)};
+}
+
+std::string runs_on(const ReadingGroup::Member& member) {
+  return member.engine == discovery::engine_storm ? "Apache Storm" : "workers of ours";
 }
 
 /// Why two members cannot share; empty: they can.
 std::string difference(const ReadingGroup::Member& first, const ReadingGroup::Member& own) {
   const std::string who = "worker " + first.sharer.worker + " of topology \"" + first.topology + "\"";
+  if (first.topology == own.topology && first.engine != own.engine && !first.engine.empty() && !own.engine.empty()) {
+    return who + " runs on " + runs_on(first) + ", this one on " + runs_on(own) +
+           ": they would share its drivers unseen; end one of the two, or give it another \"topology.name\"";
+  }
   if (first.topology != own.topology && !(first.shares && own.shares)) {
     const discovery::TopologyName& silent = first.shares ? own.topology : first.topology;
     return who + " reads in the same group, and topology \"" + silent +

@@ -17,7 +17,8 @@ namespace iotcloud::topology {
 /// the registry.
 ///
 /// All members must read from the same broker and choose the same drivers; otherwise each could leave a driver to
-/// another one that does not read it. So a member whose settings differ from those of the oldest member gets no share.
+/// another one that does not read it. So a member whose settings differ from those of the oldest member gets no share,
+/// nor does one of a topology of the same name that another engine runs.
 class ReadingGroup {
  public:
   struct Member {
@@ -28,6 +29,7 @@ class ReadingGroup {
     std::string where;          ///< as the YAML says it
     std::int64_t since_ms = 0;  ///< when it joined, Unix time
     std::string spouts;         ///< DriverUnits::description()
+    std::string engine;         ///< discovery::ReaderRecord::engine
   };
   /// The workers among which the group's units are shared out.
   struct Shares {

@@ -159,6 +159,7 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
   self.where = endpoint_.where.everything() ? "" : endpoint_.where.text();
   self.since_ms = services_->clock->wall_ms();
   self.spouts = services_->units->description(source);
+  self.engine = services_->engine;
   search->group = std::make_unique<ReadingGroup>(registry, path_, std::move(self), [this](const auto& shares) {
     in_turn([&] {
       dispatcher_.assert_held();

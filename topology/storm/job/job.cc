@@ -79,6 +79,8 @@ Job make_job(const std::string& file, const std::vector<std::string>& folders) {
     if (root.has_errors()) return;
     job.name = definition.name.str();
     job.nimbus = definition.storm.nimbus;
+    job.registry = definition.registry;
+    job.zk_root = definition.zk_root;
     job.conf = storm_conf(definition);
     job.topology = to_storm(definition, topology);
   });

@@ -11,12 +11,14 @@ namespace iotcloud::topology::storm {
 /// A topology as Storm takes it.
 struct Job {
   std::string name;
-  std::string conf;                    ///< Storm's configuration of the topology, JSON
-  std::string topology;                ///< a StormTopology of nimbus/storm.thrift, in Thrift's binary protocol
-  std::string file;                    ///< the topology's YAML; empty: component libraries alone, for Flux and Java
-  std::vector<std::string> libraries;  ///< paths of its component libraries
-  std::vector<std::string> nimbus;     ///< host:port of Storm's masters, if the file names them
-  std::vector<std::string> notes;      ///< what holds on Storm in another way, a line for each
+  std::string conf;                     ///< Storm's configuration of the topology, JSON
+  std::string topology;                 ///< a StormTopology of nimbus/storm.thrift, in Thrift's binary protocol
+  std::string file;                     ///< the topology's YAML; empty: component libraries alone, for Flux and Java
+  std::vector<std::string> libraries;   ///< paths of its component libraries
+  std::vector<std::string> nimbus;      ///< host:port of Storm's masters, if the file names them
+  discovery::RegistryOptions registry;  ///< where its spouts and bolts find drivers; without a URL: it names none
+  std::string zk_root;                  ///< TopologyDefinition::zk_root
+  std::vector<std::string> notes;       ///< what holds on Storm in another way, a line for each
 };
 
 /// Reads a topology's file, loads its component libraries, puts the graph together and checks it, as a worker does, and

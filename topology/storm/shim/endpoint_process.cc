@@ -5,7 +5,9 @@
 namespace iotcloud::topology::storm {
 
 EndpointProcess::EndpointProcess(const TopologyDefinition& definition)
-    : registry_options_(definition.registry), services_(make_endpoint_services(definition, nullptr, nullptr)) {}
+    : registry_options_(definition.registry), services_(make_endpoint_services(definition, nullptr, nullptr)) {
+  services_->engine = discovery::engine_storm;
+}
 
 EndpointFactories EndpointProcess::factories() const {
   return endpoint_factories(services_);
