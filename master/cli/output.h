@@ -1,40 +1,21 @@
 #pragma once
 
-#include <cstdint>
-#include <iosfwd>
-#include <string>
-#include <vector>
-
-#include <nlohmann/json_fwd.hpp>
+#include <iotcloud/config/output/output.h>
+#include <iotcloud/config/output/watch.h>
 
 namespace iotcloud::master::cli {
 
-enum class Format { table, json, yaml };
-
-/// Prints a table. Each column is as wide as its widest cell; the last one is not padded. Widths count UTF-8
-/// characters.
-void print_table(std::ostream& out, const std::vector<std::string>& head,
-                 const std::vector<std::vector<std::string>>& rows);
-
-/// Writes `value` as one YAML document in block style. A reader gets the same value: strings that YAML could read as
-/// something else are quoted; bytes that are not UTF-8 become U+FFFD .
-void print_yaml(std::ostream& out, const nlohmann::ordered_json& value);
-
-/// Prints the table or the data, as `format` says.
-void print(std::ostream& out, Format format, const std::vector<std::string>& head,
-           const std::vector<std::vector<std::string>>& rows, const nlohmann::ordered_json& json);
-
-/// Prints data as JSON or YAML, as `format` says; must not be called for tables.
-void print_data(std::ostream& out, Format format, const nlohmann::ordered_json& json);
-
-/// "12s", "5m", "3h", "2d" since `since_ms` (wall time); "-" when it is not known.
-std::string age(std::int64_t since_ms, std::int64_t now_ms);
-/// Wall time for people, in UTC.
-std::string moment(std::int64_t time_ms);
-/// Milliseconds since 1970, by the system's clock.
-std::int64_t now_ms();
-
-/// The text without control characters, so that text from elsewhere cannot control the terminal.
-std::string printable(const std::string& text);
+using config::output::age;
+using config::output::Format;
+using config::output::interrupt;
+using config::output::moment;
+using config::output::now_ms;
+using config::output::pause;
+using config::output::print;
+using config::output::print_data;
+using config::output::print_table;
+using config::output::print_yaml;
+using config::output::printable;
+using config::output::watch;
 
 }  // namespace iotcloud::master::cli

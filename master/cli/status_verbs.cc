@@ -8,6 +8,7 @@
 #include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
+#include <iotcloud/master/cli/topology/engine_choice.h>
 #include <iotcloud/master/cli/topology/topology_verbs.h>
 #include <iotcloud/master/cli/verb.h>
 #include <iotcloud/master/cli/watch.h>
@@ -68,6 +69,15 @@ class Topologies final : public WatchedVerb {
  public:
   using WatchedVerb::WatchedVerb;
 
+  void declare(CLI::App& options) override {
+    WatchedVerb::declare(options);
+    engine_.declare(options, "those of workers of ours");
+  }
+  void check() override { engine_.check(); }
+  int run(Call& call) override {
+    if (engine_.storm()) engine_.become(call, watched().add_to({"list"}));
+    return WatchedVerb::run(call);
+  }
   int show(Call& call, MasterClient& master) override {
     Rows rows;
     Json json = Json::array();
@@ -87,6 +97,9 @@ class Topologies final : public WatchedVerb {
     print(call.out, call.format, {"TOPOLOGY", "STATE", "WORKERS", "SINCE", "SPOUTS", "BOLTS"}, rows, json);
     return exit_ok;
   }
+
+ private:
+  EngineChoice engine_;
 };
 
 /// The master's role for people.

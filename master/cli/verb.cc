@@ -1,7 +1,4 @@
-#include <algorithm>
-#include <csignal>
 #include <ostream>
-#include <thread>
 
 #include <CLI/CLI.hpp>
 #include <fmt/format.h>
@@ -9,24 +6,6 @@
 #include <iotcloud/master/cli/verb.h>
 
 namespace iotcloud::master::cli {
-
-namespace {
-
-volatile std::sig_atomic_t interrupted = 0;
-
-}  // namespace
-
-void interrupt() {
-  interrupted = 1;
-}
-
-bool pause(std::chrono::duration<double> time) {
-  using Seconds = std::chrono::duration<double>;
-  const auto until = std::chrono::steady_clock::now() + time;
-  while (interrupted == 0 && std::chrono::steady_clock::now() < until)
-    std::this_thread::sleep_for(std::min<Seconds>(until - std::chrono::steady_clock::now(), Seconds(0.05)));
-  return interrupted == 0;
-}
 
 int name_silent(const std::map<discovery::GatewayId, std::string>& silent, std::string_view what, std::ostream& err) {
   for (const auto& [gateway, why] : silent)

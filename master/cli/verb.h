@@ -75,12 +75,6 @@ class Verb {
   virtual int run(Call& call) = 0;
 };
 
-/// Ends in an orderly way a verb that runs until it is interrupted (metrics --watch, tap, logs --follow). A signal
-/// handler may call it.
-void interrupt();
-/// Waits for `time`. \return false if interrupt() was called.
-bool pause(std::chrono::duration<double> time);
-
 /// Prints the gateways that did not answer. \param what they should have told: "the history"
 /// \return the exit status: exit_failed if there are any
 int name_silent(const std::map<discovery::GatewayId, std::string>& silent, std::string_view what, std::ostream& err);

@@ -1,8 +1,4 @@
-#include <chrono>
-#include <ostream>
-
 #include <CLI/CLI.hpp>
-#include <unistd.h>
 
 #include <iotcloud/master/cli/watch.h>
 
@@ -16,16 +12,13 @@ void WatchOption::declare(CLI::App& options) {
       ->type_name("SECONDS");
 }
 
+std::vector<std::string> WatchOption::add_to(std::vector<std::string> words) const {
+  if (on()) words.insert(words.end(), {"--watch", std::to_string(seconds_)});
+  return words;
+}
+
 int WatchOption::run(Call& call, const std::function<int()>& once) const {
-  int status = exit_ok;
-  do {
-    if (on() && call.format == Format::table && isatty(STDOUT_FILENO) == 1) call.out << "\033[H\033[2J";
-    if (on() && call.format == Format::yaml) call.out << "---\n";
-    status = once();
-    if (on() && call.format == Format::table) call.out << '\n';
-    call.out.flush();
-  } while (on() && call.out && pause(std::chrono::duration<double>(seconds_)));
-  return status;
+  return watch(call.out, call.format, seconds_, once);
 }
 
 }  // namespace iotcloud::master::cli

@@ -29,7 +29,7 @@ STAMPS_OF_OTHERS = {
     "brokers/spool/spool_queue.cc": "the age of messages that an earlier process accepted",
     "processes/plugin_versions.cc": "when a version first ran outlives the process",
     "gateway/order_feed.cc": "an order says when its master gave it",
-    "master/cli/output.cc": "the age of records that other processes wrote",
+    "config/output/output.cc": "the age of records that other processes wrote",
     "master/orders/order_book.cc": "two orders of one master never have the same time",
     "master/topologies/topology_service.cc": "an order says until when its master waits, whichever process reads it",
     "security/tokens.cc": "a token's end is a day of the calendar, which its file says",

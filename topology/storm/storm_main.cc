@@ -1,17 +1,22 @@
 // iotcloud-storm: topologies on Apache Storm; `iotcloud topology pack` starts it.
+#include <csignal>
 #include <cstdio>
 #include <filesystem>
 #include <functional>
+#include <iostream>
 #include <optional>
 #include <set>
 
 #include <CLI/CLI.hpp>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/log.h>
+#include <iotcloud/config/output/watch.h>
 #include <iotcloud/topology/storm/storm_verbs.h>
 
 namespace {
 
+namespace output = iotcloud::config::output;
 namespace storm = iotcloud::topology::storm;
 using std::chrono::seconds;
 
@@ -55,7 +60,7 @@ std::map<std::string, std::string> levels_of(const std::vector<std::string>& wor
 
 /// The words of the command line, and the verb that they name.
 struct Words {
-  storm::StormCall call;
+  storm::StormCall call{.nimbus = {}, .folders = {}, .out = std::cout};
   std::string file;
   std::string jar;
   std::string onto;
@@ -68,6 +73,7 @@ struct Words {
   int limit_s = 120;
   int wait_s = 30;
   int time_out_s = 0;
+  double watch_s = 0;
   std::function<int()> verb;
 
   CLI::App* add(CLI::App& app, const char* name_of_verb, const char* what, std::function<int()> run) {
@@ -84,7 +90,24 @@ struct Words {
     made->add_option("--nimbus", call.nimbus, "HOST:PORT of Storm's Nimbus; several with commas")->delimiter(',');
     made->add_option("--patience", patience_s, "seconds in which a Nimbus must lead, after a failover, say")
         ->check(CLI::Range(0, 3600));
-    made->add_flag("--json", call.json, "JSON in place of a table");
+    made->add_option_function<std::string>(
+            "-o,--output",
+            [this](const std::string& word) {
+              call.format = word == "json"   ? output::Format::json
+                            : word == "yaml" ? output::Format::yaml
+                                             : output::Format::table;
+            },
+            "how the answer is written")
+        ->check(CLI::IsMember({"table", "json", "yaml"}))
+        ->type_name("FORMAT");
+    return made;
+  }
+  CLI::App* watched(CLI::App* made) {
+    made->add_option("--watch", watch_s, "again every so many seconds until interrupted; 1 when none are given")
+        ->expected(0, 1)
+        ->default_str("1")
+        ->check(CLI::Range(0.1, 3600.0))
+        ->type_name("SECONDS");
     return made;
   }
   CLI::App* of_topology(CLI::App* made) {
@@ -111,11 +134,12 @@ void Words::declare(CLI::App& app) {
   CLI::App* submit = of_cluster(with_file(add(app, "submit", "send a topology to Storm, and wait until it runs",
                                               [&] { return storm::submit(call, file, workers, seconds(limit_s)); })));
   submit->add_option("--workers", workers, "worker processes")->check(CLI::Range(1, 10'000));
-  of_cluster(add(app, "list", "the topologies of the cluster", [&] { return storm::list(call); }));
-  of_topology(add(app, "show", "a topology's executors, and where they run", [&] { return storm::show(call, name); }));
-  of_topology(add(app, "metrics", "counts of a topology's components", [&] {
-    return storm::metrics(call, name, window);
-  }))->add_option("--window", window, "of the last 600, 10800 or 86400 seconds, or :all-time");
+  watched(of_cluster(add(app, "list", "the topologies of the cluster", [&] { return storm::list(call, watch_s); })));
+  of_topology(add(app, "show", "a topology's workers, components and executors, and where they run",
+                  [&] { return storm::show(call, name); }));
+  watched(of_topology(add(app, "metrics", "counts of a topology's components, as often as Storm's workers report them",
+                          [&] { return storm::metrics(call, name, window, watch_s); })))
+      ->add_option("--window", window, "of the last 600, 10800 or 86400 seconds, or :all-time");
   of_topology(
       add(app, "errors", "errors that a topology's components reported", [&] { return storm::errors(call, name); }));
   of_topology(add(app, "activate", "let the spouts go on", [&] { return storm::set_active(call, name, true); }));
@@ -149,10 +173,12 @@ void Words::declare(CLI::App& app) {
 int main(int argc, char** argv) {
   CLI::App app{"Runs topologies on Apache Storm: packs, submits, lists and ends them.", "iotcloud-storm"};
   app.require_subcommand(1);
+  iotcloud::config::set_log_level(iotcloud::config::LogLevel::error);  // notes are for people, other lines for daemons
   Words words;
   words.call.folders = library_folders();
   words.declare(app);
   CLI11_PARSE(app, argc, argv);
+  if (words.watch_s > 0) std::signal(SIGINT, [](int) { output::interrupt(); });
   try {
     return words.verb();
   } catch (const std::exception& error) {

@@ -1,17 +1,21 @@
 #include <algorithm>
+#include <cctype>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <functional>
 #include <map>
+#include <ostream>
 #include <set>
 #include <thread>
 
-#include <fmt/chrono.h>
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 #include <unistd.h>
 
+#include <iotcloud/config/output/watch.h>
+#include <iotcloud/discovery/name_taken.h>
 #include <iotcloud/topology/storm/job/jar.h>
 #include <iotcloud/topology/storm/nimbus/nimbus_client.h>
 #include <iotcloud/topology/storm/storm_verbs.h>
@@ -21,42 +25,57 @@ namespace iotcloud::topology::storm {
 namespace {
 
 namespace fs = std::filesystem;
+namespace output = config::output;
+using output::Format;
+using output::printable;
 using Json = nlohmann::ordered_json;
+using Rows = std::vector<std::vector<std::string>>;
 using std::chrono::seconds;
 
+/// The window of Storm's counts from a topology's beginning on.
+constexpr const char* all_time = ":all-time";
 constexpr std::chrono::milliseconds look_pause{200};
+/// How long the registry may take to say who runs.
+constexpr std::chrono::milliseconds registry_limit{5000};
 /// How long, after what was under way could be finished, a topology that is killed may still be listed.
 constexpr seconds kill_margin{120};
 /// Components are opened only after their executors have told Nimbus of themselves; one that cannot be opened shows
 /// within this time.
 constexpr seconds after_reports{2};
 
-/// Prints rows of the same keys, as a table or as JSON.
-void print(const StormCall& call, const std::vector<std::string>& keys, const Json& rows) {
-  if (call.json) {
-    fmt::print("{}\n", rows.dump(2, ' ', false, Json::error_handler_t::replace));
-    return;
+/// Prints a text for people, or what it says as data, under the keys of an order's answer.
+int print_done(const StormCall& call, const std::string& text, Json outcomes = Json::array()) {
+  if (call.format == Format::table) {
+    call.out << text << '\n';
+  } else {
+    output::print_data(call.out, call.format, {{"ok", true}, {"text", text}, {"outcomes", std::move(outcomes)}});
   }
-  const auto text = [](const Json& value) { return value.is_string() ? value.get<std::string>() : value.dump(); };
-  std::vector<std::size_t> widths;
-  for (const auto& key : keys) {
-    widths.push_back(key.size());
-    for (const auto& row : rows) widths.back() = std::max(widths.back(), text(row.at(key)).size());
-  }
-  const auto line = [&](const auto& cell_of) {
-    std::string cells;
-    for (std::size_t i = 0; i < keys.size(); ++i) {
-      const std::string cell = cell_of(keys[i]);
-      cells += i + 1 == keys.size() ? cell : fmt::format("{:<{}}  ", cell, widths[i]);
-    }
-    fmt::print("{}\n", cells);
-  };
-  line([](const std::string& key) { return key; });
-  for (const auto& row : rows) line([&](const std::string& key) { return text(row.at(key)); });
+  return 0;
 }
 
 void note(const std::string& text) {
   std::fprintf(stderr, "iotcloud-storm: %s\n", text.c_str());
+}
+
+/// Refuses a topology that workers of ours run under the same name. When the registry does not tell, it notes so: then
+/// the groups of readers see to it that only one of the two reads.
+void refuse_taken_name(const Job& job) {
+  if (job.registry.url.empty()) return;  // nothing of it reads what others read, too
+  const auto unknown = [&](const std::string& why) {
+    note(fmt::format("whether workers of ours run a topology {}, too, is not known: {}", job.name, why));
+  };
+  if (!job.registry.user.empty())
+    return unknown("the registry has users, and the password of \"" + job.registry.user + "\" is for Storm's machines");
+  std::string taken;
+  try {
+    auto options = job.registry;
+    options.operation_timeout = registry_limit;
+    taken = discovery::taken_by_workers(*discovery::make_registry(options), discovery::Paths(job.zk_root),
+                                        discovery::TopologyName(job.name));
+  } catch (const config::Error& error) {
+    return unknown(error.what());
+  }
+  if (!taken.empty()) throw config::Error(taken);
 }
 
 NimbusClient connect(const StormCall& call) {
@@ -71,8 +90,20 @@ TopologyDetails details_of(NimbusClient& nimbus, const std::string& name) {
   throw NimbusError("no topology \"" + name + "\" runs; " + (known.empty() ? "none does" : "there are " + known));
 }
 
-std::string time_text(std::int64_t at_s) {
-  return fmt::format("{:%Y-%m-%dT%H:%M:%SZ}", fmt::gmtime(static_cast<std::time_t>(at_s)));
+/// When something began that has lasted so long.
+std::int64_t since_ms(int uptime_s) {
+  return output::began_ms(seconds(uptime_s));
+}
+
+/// The words of `iotcloud topology` for Storm's: "active", "inactive", "killed", "rebalancing".
+std::string state_of(const RunningTopology& topology) {
+  std::string state = topology.status;
+  for (char& letter : state) letter = static_cast<char>(std::tolower(static_cast<unsigned char>(letter)));
+  return state;
+}
+
+std::string place_of(const std::string& host, int port) {
+  return fmt::format("{}:{}", host, port);
 }
 
 Job checked_job(const StormCall& call, const std::string& file) {
@@ -135,22 +166,25 @@ bool all_report(const TopologyDetails& details) {
 }
 
 /// Waits until all tasks run. \param done what the topology was told, for messages. \param goes_on whether what Nimbus
-/// says is about the workers that are to run, and not those of before. \throws NimbusError that says why they do not
-/// run, for one when a component reports an error that is not among those `of_before`.
+/// says is about the workers that are to run, and not those of before. A component that failed a tuple runs: that is
+/// noted, once, unless it is among the errors `of_before`. \throws NimbusError that says why they do not run, for one
+/// when the error of another one ended its worker.
 TopologyDetails wait_until_running(NimbusClient& nimbus, const std::string& name, const std::string& done,
                                    seconds limit, const std::vector<ReportedError>& of_before,
                                    const std::function<bool(const TopologyDetails&)>& goes_on) {
   const auto end = std::chrono::steady_clock::now() + limit;
   auto all_reported = std::chrono::steady_clock::time_point::max();
+  std::set<std::string> noted;
   while (true) {
     TopologyDetails details = details_of(nimbus, name);
-    const auto first = std::find_if(details.errors.rbegin(), details.errors.rend(), [&](const ReportedError& error) {
-      return std::find(of_before.begin(), of_before.end(), error) == of_before.end();
-    });
-    if (first != details.errors.rend()) {
-      throw NimbusError(
-          fmt::format("{} does not run: its component {} says: {} ({}:{}); `iotcloud-storm kill {}` ends it", name,
-                      first->component, first->text, first->host, first->port, name));
+    for (auto error = details.errors.rbegin(); error != details.errors.rend(); ++error) {  // the oldest first
+      if (std::find(of_before.begin(), of_before.end(), *error) != of_before.end()) continue;
+      const std::string says =
+          fmt::format("its component {} says: {} ({}:{})", error->component, error->text, error->host, error->port);
+      if (!error->of_tuple)
+        throw NimbusError(fmt::format("{} does not run: {}; `iotcloud-storm kill {}` ends it", name, says, name));
+      if (noted.insert(error->component).second)
+        note(fmt::format("{}, and goes on; `iotcloud-storm errors {}` has all", says, name));
     }
     const auto now = std::chrono::steady_clock::now();
     const bool running = goes_on(details) && all_report(details);
@@ -194,10 +228,150 @@ int tasks_of(const TopologyDetails& details) {
   return tasks;
 }
 
-std::size_t workers_of(const TopologyDetails& details) {
-  std::set<std::pair<std::string, int>> workers;
-  for (const auto& executor : details.executors) workers.emplace(executor.host, executor.port);
-  return workers.size();
+/// A worker of Storm, and the tasks of a topology's own components in it.
+struct SlotWorker {
+  std::string host;
+  int tasks = 0;
+  int uptime_s = 0;
+};
+
+/// By host and port.
+std::map<std::string, SlotWorker> workers_of(const TopologyDetails& details) {
+  std::map<std::string, SlotWorker> workers;
+  for (const auto& executor : details.executors) {
+    SlotWorker& worker = workers[place_of(executor.host, executor.port)];
+    worker.host = executor.host;
+    worker.tasks += executor.last_task - executor.first_task + 1;
+    worker.uptime_s = std::max(worker.uptime_s, executor.uptime_s);
+  }
+  return workers;
+}
+
+/// Prints that a topology's tasks run.
+int print_running(const StormCall& call, const std::string& name, const TopologyDetails& details) {
+  const auto workers = workers_of(details);
+  Json outcomes = Json::array();
+  for (const auto& [place, worker] : workers) {
+    outcomes.push_back({{"worker", place},
+                        {"host", worker.host},
+                        {"outcome", "done"},
+                        {"reason", fmt::format("{} tasks", worker.tasks)}});
+  }
+  return print_done(call, fmt::format("{} runs: {} tasks in {} workers", name, tasks_of(details), workers.size()),
+                    std::move(outcomes));
+}
+
+std::size_t errors_of(const TopologyDetails& details, const std::string& component) {
+  return static_cast<std::size_t>(
+      std::count_if(details.errors.begin(), details.errors.end(),
+                    [&](const ReportedError& error) { return error.component == component; }));
+}
+
+/// What a component did, under the keys of our own workers' pages. Storm has means of durations only.
+Json sum_of(const ComponentCounts& counts, const TopologyDetails& details) {
+  constexpr double us = 1000;
+  return {{"parallelism", counts.executors},
+          {"tasks", counts.tasks},
+          {"emitted", counts.emitted},
+          {"transferred", counts.transferred},
+          {"executed", counts.executed},
+          {"acked", counts.acked},
+          {"failed", counts.failed},
+          {"errors", errors_of(details, counts.component)},
+          {"capacity", counts.capacity},
+          {"execute", {{"mean_us", counts.execute_ms * us}}},
+          {"process", {{"mean_us", counts.process_ms * us}}},
+          {"complete", {{"mean_us", counts.complete_ms * us}}},
+          {"last_error", counts.last_error}};
+}
+
+std::string kind_of(const ComponentCounts& counts) {
+  return counts.spout ? "spout" : "bolt";
+}
+
+/// "1.250ms"; "-": nothing was measured.
+std::string duration(double ms) {
+  return ms > 0 ? fmt::format("{:.3f}ms", ms) : "-";
+}
+
+void show_workers(const TopologyDetails& details, std::ostream& out) {
+  Rows rows;
+  for (const auto& [place, worker] : workers_of(details)) {
+    rows.push_back({printable(place), printable(worker.host), std::to_string(worker.tasks), state_of(details.topology),
+                    output::age(since_ms(worker.uptime_s), output::now_ms())});
+  }
+  output::print_table(out, {"WORKER", "HOST", "TASKS", "STATE", "SINCE"}, rows);
+}
+
+void show_components(const std::vector<ComponentCounts>& all, const TopologyDetails& details, std::ostream& out) {
+  Rows rows;
+  for (const auto& counts : all) {
+    rows.push_back({printable(counts.component), kind_of(counts), fmt::format("{}/{}", counts.executors, counts.tasks),
+                    std::to_string(counts.emitted), std::to_string(counts.executed), std::to_string(counts.failed),
+                    std::to_string(errors_of(details, counts.component)), printable(counts.last_error)});
+  }
+  output::print_table(
+      out, {"COMPONENT", "KIND", "PARALLEL/TASKS", "EMITTED", "EXECUTED", "FAILED", "ERRORS", "LAST ERROR"}, rows);
+}
+
+std::string tasks_text(const RunningExecutor& executor) {
+  return executor.first_task == executor.last_task ? std::to_string(executor.first_task)
+                                                   : fmt::format("{}-{}", executor.first_task, executor.last_task);
+}
+
+void show_executors(const TopologyDetails& details, std::ostream& out) {
+  Rows rows;
+  for (const auto& executor : details.executors) {
+    rows.push_back({printable(executor.component), tasks_text(executor),
+                    printable(place_of(executor.host, executor.port)), executor.reported ? "yes" : "not yet",
+                    output::age(since_ms(executor.uptime_s), output::now_ms())});
+  }
+  output::print_table(out, {"COMPONENT", "TASKS", "WORKER", "RUNS", "SINCE"}, rows);
+}
+
+void print_counts(const std::vector<ComponentCounts>& all, std::ostream& out) {
+  Rows rows;
+  for (const auto& counts : all) {
+    rows.push_back({printable(counts.component), fmt::format("{}/{}", counts.executors, counts.tasks),
+                    std::to_string(counts.emitted), std::to_string(counts.transferred), std::to_string(counts.executed),
+                    std::to_string(counts.acked), std::to_string(counts.failed), fmt::format("{:.2f}", counts.capacity),
+                    duration(counts.execute_ms), duration(counts.process_ms), duration(counts.complete_ms),
+                    printable(counts.last_error)});
+  }
+  output::print_table(out,
+                      {"COMPONENT", "PARALLEL/TASKS", "EMITTED", "TRANSFERRED", "EXECUTED", "ACKED", "FAILED",
+                       "CAPACITY", "EXECUTE mean", "PROCESS", "COMPLETE", "LAST ERROR"},
+                      rows);
+}
+
+int list_once(const StormCall& call, NimbusClient& nimbus) {
+  Rows rows;
+  Json json = Json::array();
+  for (const auto& topology : nimbus.topologies()) {
+    const auto details = nimbus.details(topology.name);
+    if (!details) continue;  // it ended since
+    std::vector<std::string> workers, spouts, bolts;
+    for (const auto& [place, worker] : workers_of(*details)) workers.push_back(place);
+    try {
+      for (const auto& counts : nimbus.counts(topology.name, all_time))
+        (counts.spout ? spouts : bolts).push_back(counts.component);
+    } catch (const NimbusError&) {
+      continue;  // it ended since
+    }
+    const auto since = since_ms(topology.uptime_s);
+    rows.push_back({printable(topology.name), state_of(topology), std::to_string(topology.workers),
+                    output::age(since, output::now_ms()), printable(fmt::format("{}", fmt::join(spouts, ","))),
+                    printable(fmt::format("{}", fmt::join(bolts, ",")))});
+    json.push_back({{"topology", topology.name},
+                    {"engine", "storm"},
+                    {"state", state_of(topology)},
+                    {"workers", workers},
+                    {"spouts", spouts},
+                    {"bolts", bolts},
+                    {"since_ms", since}});
+  }
+  output::print(call.out, call.format, {"TOPOLOGY", "STATE", "WORKERS", "SINCE", "SPOUTS", "BOLTS"}, rows, json);
+  return 0;
 }
 
 }  // namespace
@@ -206,7 +380,7 @@ int pack(const StormCall& call, const std::string& file, const std::string& jar,
   const bool library = fs::path(file).extension() == ".so";
   const Job job = library ? make_library_job(file) : checked_job(call, file);
   tell_contents(write_jar(job, ShimFiles::find(), jar, onto));
-  fmt::print(
+  call.out << fmt::format(
       "{}: submit it with `storm jar {}{}\n", jar, jar,
       library ? " CLASS ...`, where CLASS is your main class, or that of Flux, org.apache.storm.flux.Flux" : "`");
   return 0;
@@ -219,6 +393,7 @@ int submit(const StormCall& call, const std::string& file, std::optional<int> wo
     conf["topology.workers"] = *workers;
     job.conf = conf.dump();
   }
+  refuse_taken_name(job);
   NimbusClient nimbus(call.nimbus.empty() ? job.nimbus : call.nimbus, call.patience);
   if (nimbus.version() != tested_version) {
     note(fmt::format("Nimbus {} is of Storm {}; this was tested with {}", nimbus.leader(), nimbus.version(),
@@ -227,90 +402,108 @@ int submit(const StormCall& call, const std::string& file, std::optional<int> wo
   const TemporaryJar jar;
   tell_contents(write_jar(job, ShimFiles::find(), jar.path()));
   nimbus.submit(job.name, job.conf, job.topology, jar.path(), show_progress);
-  if (limit.count() == 0) {
-    fmt::print("{} was submitted to {}\n", job.name, nimbus.leader());
-    return 0;
-  }
+  if (limit.count() == 0) return print_done(call, fmt::format("{} was submitted to {}", job.name, nimbus.leader()));
   const TopologyDetails details =
       wait_until_running(nimbus, job.name, "submitted", limit, {}, [](const TopologyDetails&) { return true; });
-  fmt::print("{} runs: {} tasks in {} workers\n", job.name, tasks_of(details), workers_of(details));
-  return 0;
+  return print_running(call, job.name, details);
 }
 
-int list(const StormCall& call) {
+int list(const StormCall& call, double watch) {
   auto nimbus = connect(call);
-  Json rows = Json::array();
-  for (const auto& topology : nimbus.topologies()) {
-    rows.push_back({{"name", topology.name},
-                    {"state", topology.status},
-                    {"workers", topology.workers},
-                    {"executors", topology.executors},
-                    {"tasks", topology.tasks},
-                    {"uptime_s", topology.uptime_s}});
-  }
-  print(call, {"name", "state", "workers", "executors", "tasks", "uptime_s"}, rows);
-  return 0;
+  return output::watch(call.out, call.format, watch, [&] { return list_once(call, nimbus); });
 }
 
 int show(const StormCall& call, const std::string& name) {
   auto nimbus = connect(call);
-  Json rows = Json::array();
-  for (const auto& executor : details_of(nimbus, name).executors) {
-    rows.push_back({{"component", executor.component},
-                    {"tasks", executor.first_task == executor.last_task
-                                  ? std::to_string(executor.first_task)
-                                  : fmt::format("{}-{}", executor.first_task, executor.last_task)},
-                    {"worker", fmt::format("{}:{}", executor.host, executor.port)},
-                    {"runs", executor.reported},
-                    {"uptime_s", executor.uptime_s}});
+  const TopologyDetails details = details_of(nimbus, name);
+  const auto counts = nimbus.counts(name, all_time);
+  const auto workers = workers_of(details);
+  if (call.format == Format::table) {
+    call.out << fmt::format("{}: {}, {} worker{} of Apache Storm\n\n", printable(name), state_of(details.topology),
+                            workers.size(), workers.size() == 1 ? "" : "s");
+    show_workers(details, call.out);
+    call.out << '\n';
+    show_components(counts, details, call.out);
+    call.out << '\n';
+    show_executors(details, call.out);
+    return 0;
   }
-  print(call, {"component", "tasks", "worker", "runs", "uptime_s"}, rows);
+  Json of_workers = Json::array(), components = Json::array(), executors = Json::array();
+  for (const auto& [place, worker] : workers) {
+    of_workers.push_back({{"worker", place},
+                          {"host", worker.host},
+                          {"state", state_of(details.topology)},
+                          {"since_ms", since_ms(worker.uptime_s)}});
+  }
+  for (const auto& each : counts) {
+    Json component{{"id", each.component}, {"kind", kind_of(each)}};
+    component.update(sum_of(each, details));
+    components.push_back(std::move(component));
+  }
+  for (const auto& executor : details.executors) {
+    executors.push_back({{"component", executor.component},
+                         {"tasks", tasks_text(executor)},
+                         {"worker", place_of(executor.host, executor.port)},
+                         {"runs", executor.reported},
+                         {"since_ms", since_ms(executor.uptime_s)}});
+  }
+  output::print_data(call.out, call.format,
+                     {{"topology", name},
+                      {"engine", "storm"},
+                      {"state", state_of(details.topology)},
+                      {"since_ms", since_ms(details.topology.uptime_s)},
+                      {"wanted_workers", details.topology.workers},
+                      {"workers", of_workers},
+                      {"components", components},
+                      {"executors", executors}});
   return 0;
 }
 
-int metrics(const StormCall& call, const std::string& name, const std::string& window) {
+int metrics(const StormCall& call, const std::string& name, const std::string& window, double watch) {
   auto nimbus = connect(call);
-  Json rows = Json::array();
-  for (const auto& counts : nimbus.counts(name, window)) {
-    const auto ms = [](double value) { return fmt::format("{:.3f}", value); };
-    rows.push_back({{"component", counts.component},
-                    {"executors", counts.executors},
-                    {"tasks", counts.tasks},
-                    {"emitted", counts.emitted},
-                    {"transferred", counts.transferred},
-                    {"executed", counts.executed},
-                    {"acked", counts.acked},
-                    {"failed", counts.failed},
-                    {"execute_ms", ms(counts.execute_ms)},
-                    {"process_ms", ms(counts.process_ms)},
-                    {"complete_ms", ms(counts.complete_ms)},
-                    {"capacity", ms(counts.capacity)}});
-  }
-  print(call,
-        {"component", "executors", "tasks", "emitted", "transferred", "executed", "acked", "failed", "execute_ms",
-         "process_ms", "complete_ms", "capacity"},
-        rows);
-  return 0;
+  return output::watch(call.out, call.format, watch, [&] {
+    const auto counts = nimbus.counts(name, window);
+    if (call.format == Format::table) {
+      print_counts(counts, call.out);
+      return 0;
+    }
+    const TopologyDetails details = details_of(nimbus, name);
+    Json components = Json::array();
+    for (const auto& each : counts) {
+      components.push_back({{"component", each.component}, {"kind", kind_of(each)}, {"sum", sum_of(each, details)}});
+    }
+    const Json json{{"topology", name},
+                    {"engine", "storm"},
+                    {"window", window},
+                    {"workers", workers_of(details).size()},
+                    {"components", components}};
+    if (watch > 0 && call.format == Format::json) {  // a line for each, as of our own workers
+      call.out << json.dump(-1, ' ', false, Json::error_handler_t::replace) << '\n';
+    } else {
+      output::print_data(call.out, call.format, json);
+    }
+    return 0;
+  });
 }
 
 int errors(const StormCall& call, const std::string& name) {
   auto nimbus = connect(call);
-  Json rows = Json::array();
+  Rows rows;
+  Json json = Json::array();
   for (const auto& error : details_of(nimbus, name).errors) {
-    rows.push_back({{"time", time_text(error.at_s)},
-                    {"component", error.component},
-                    {"worker", fmt::format("{}:{}", error.host, error.port)},
-                    {"error", error.text}});
+    const auto at_ms = std::int64_t{1000} * error.at_s;
+    const std::string worker = place_of(error.host, error.port);
+    rows.push_back({printable(error.component), printable(worker), output::moment(at_ms), printable(error.text)});
+    json.push_back({{"component", error.component}, {"worker", worker}, {"time_ms", at_ms}, {"error", error.text}});
   }
-  print(call, {"time", "component", "worker", "error"}, rows);
+  output::print(call.out, call.format, {"COMPONENT", "WORKER", "TIME", "ERROR"}, rows, json);
   return 0;
 }
 
 int set_active(const StormCall& call, const std::string& name, bool active) {
   auto nimbus = connect(call);
   active ? nimbus.activate(name) : nimbus.deactivate(name);
-  fmt::print("{} is {}\n", name, active ? "active" : "inactive");
-  return 0;
+  return print_done(call, fmt::format("{} is {}", name, active ? "active" : "inactive"));
 }
 
 int rebalance(const StormCall& call, const std::string& name, std::optional<int> workers,
@@ -319,32 +512,29 @@ int rebalance(const StormCall& call, const std::string& name, std::optional<int>
   const TopologyDetails before = details_of(nimbus, name);
   const auto began = std::chrono::steady_clock::now();
   nimbus.rebalance(name, workers, executors, wait);
-  if (limit.count() == 0) {
-    fmt::print("{} is rebalanced in {} s\n", name, wait.count());
-    return 0;
-  }
+  if (limit.count() == 0) return print_done(call, fmt::format("{} is rebalanced in {} s", name, wait.count()));
   const Placement placement = placement_of(before);
   const TopologyDetails details = wait_until_running(
       nimbus, name, "told to rebalance", wait + limit, before.errors, [&](const TopologyDetails& now) {
         const auto passed = std::chrono::steady_clock::now() - began;
         return is_of_new_workers(now, placement, std::chrono::duration_cast<seconds>(passed));
       });
-  if (workers && workers_of(details) != static_cast<std::size_t>(*workers))
-    note(fmt::format("it has {} workers and not {}: are there free slots, and as many executors?", workers_of(details),
-                     *workers));
-  fmt::print("{} runs: {} tasks in {} workers\n", name, tasks_of(details), workers_of(details));
-  return 0;
+  if (const auto has = workers_of(details).size(); workers && has != static_cast<std::size_t>(*workers))
+    note(fmt::format("it has {} workers and not {}: are there free slots, and as many executors?", has, *workers));
+  return print_running(call, name, details);
 }
 
 int set_log_levels(const StormCall& call, const std::string& name, const std::map<std::string, std::string>& levels,
                    seconds time_out) {
   auto nimbus = connect(call);
   nimbus.set_log_levels(name, levels, time_out);
+  std::vector<std::string> changed;
   for (const auto& [logger, level] : levels) {
-    fmt::print("{}: the workers' logger {} has {}{}\n", name, logger, level.empty() ? "its level of before" : level,
-               time_out.count() == 0 ? "" : fmt::format(" for {} s", time_out.count()));
+    changed.push_back(fmt::format("{}: the workers' logger {} has {}{}", name, logger,
+                                  level.empty() ? "its level of before" : level,
+                                  time_out.count() == 0 ? "" : fmt::format(" for {} s", time_out.count())));
   }
-  return 0;
+  return print_done(call, fmt::format("{}", fmt::join(changed, "\n")));
 }
 
 int kill(const StormCall& call, const std::string& name, seconds wait) {
@@ -363,8 +553,7 @@ int kill(const StormCall& call, const std::string& name, seconds wait) {
     }
     std::this_thread::sleep_for(look_pause);
   }
-  fmt::print("{} was killed\n", name);
-  return 0;
+  return print_done(call, fmt::format("{} was killed", name));
 }
 
 }  // namespace iotcloud::topology::storm

@@ -1,30 +1,37 @@
 #pragma once
 
 #include <chrono>
+#include <iosfwd>
 #include <map>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/output/output.h>
+
 namespace iotcloud::topology::storm {
 
 /// What all verbs of `iotcloud-storm` are given.
 struct StormCall {
-  std::vector<std::string> nimbus;    ///< HOST:PORT; empty: those of the topology's file
-  std::vector<std::string> folders;   ///< where component libraries are that are not beside the topology's file
-  bool json = false;                  ///< print JSON in place of tables
+  std::vector<std::string> nimbus;   ///< HOST:PORT; empty: those of the topology's file
+  std::vector<std::string> folders;  ///< where component libraries are that are not beside the topology's file
+  std::ostream& out;                 ///< results
+  config::output::Format format = config::output::Format::table;
   std::chrono::seconds patience{30};  ///< for how long a leader is looked for
 };
 
-// Each prints to stdout what it did, and notes and progress to stderr. \return the exit status. \throws config::Error
+// Each prints what it did, in JSON and YAML under the keys that `iotcloud topology` has, as far as they mean the same,
+// and notes and progress to stderr. \return the exit status. \throws config::Error
 
 /// \param file a topology's, or a component library (.so) for Flux and Java. \param onto a jar that is taken along
 int pack(const StormCall& call, const std::string& file, const std::string& jar, const std::string& onto);
 /// \param limit for how long it waits until all tasks run; 0: not at all
 int submit(const StormCall& call, const std::string& file, std::optional<int> workers, std::chrono::seconds limit);
-int list(const StormCall& call);
+/// \param watch as of config::output::watch()
+int list(const StormCall& call, double watch);
 int show(const StormCall& call, const std::string& name);
-int metrics(const StormCall& call, const std::string& name, const std::string& window);
+/// \param watch as of config::output::watch()
+int metrics(const StormCall& call, const std::string& name, const std::string& window, double watch);
 int errors(const StormCall& call, const std::string& name);
 int set_active(const StormCall& call, const std::string& name, bool active);
 /// \param wait for how long the spouts pause before the workers change

@@ -1,10 +1,12 @@
 #include <algorithm>
 #include <cstring>
 #include <filesystem>
+#include <optional>
 
 #include <fmt/format.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/yaml.h>
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/plugins/plugin_sending.h>
@@ -23,9 +25,32 @@ std::string last_line(std::string text) {
   return text.substr(text.rfind('\n') + 1);
 }
 
+/// The key of the file that gives the topology to Storm; nullopt: none does.
+std::optional<config::YamlSection> storm_key(const std::string& file) {
+  auto engine = config::YamlSection::load_file(file).optional_section("engine");
+  if (!engine || !engine->has("storm")) return std::nullopt;
+  return engine;
+}
+
+/// Refuses a file for the pools that gives the topology to Storm.
+void refuse_storms(const std::string& file) {
+  if (const auto engine = storm_key(file))
+    throw engine->error(
+        "storm", "the file gives the topology to Apache Storm, and not to pools of workers",
+        "remove this key if pools are to run it. On Storm a topology is submitted (`iotcloud topology "
+        "submit`, with --engine storm or none); another version is submitted after `iotcloud topology kill`");
+}
+
 }  // namespace
 
+std::string engine_for(const std::string& file, const std::string& given) {
+  if (given == "pool") refuse_storms(file);
+  if (!given.empty()) return given;
+  return storm_key(file) ? "storm" : "pool";
+}
+
 CheckedTopology check_file(const std::string& file) {
+  refuse_storms(file);
   CheckedTopology checked;
   checked.yaml = bytes_of(file);
   const auto ended = run_sibling("iotcloud-topology", {"--check-submission", std::filesystem::absolute(file)});
@@ -52,9 +77,8 @@ void check_workers(const CheckedTopology& topology, int workers) {
       "topology {} cannot have {} workers of a pool: these inputs reach across drivers, of which each worker would "
       "have "
       "only its share, and nothing of ours carries tuples from worker to worker:\n{}Run it on Apache Storm, which "
-      "does: "
-      "iotcloud topology submit --engine storm; or with one worker; or, if each worker should process its share only, "
-      "give these bolts \"scope: worker\"",
+      "does (docs/storm.md): iotcloud topology submit --engine storm; or with one worker; or, if each worker should "
+      "process its share only, give these bolts \"scope: worker\"",
       topology.name, workers, topology.crossings));
 }
 

@@ -23,8 +23,13 @@ struct CheckedTopology {
   std::string crossings;  ///< why several workers may not run it; empty: they may
 };
 
+/// The engine that is to run a topology: "pool" or "storm", as the command line says, else as its file does
+/// (`engine.storm`). \param given empty: the command line names none. \throws config::ConfigError when the two differ
+std::string engine_for(const std::string& file, const std::string& given);
+
 /// Checks a topology's file, its libraries and their classes, by the program iotcloud-topology beside this one; asks no
-/// master. \throws config::Error with what is wrong
+/// master. \throws config::Error with what is wrong; config::ConfigError for a file that names another engine than
+/// pools
 CheckedTopology check_file(const std::string& file);
 
 /// Refuses several workers for a topology that regroups tuples over drivers. \throws config::Error that names the

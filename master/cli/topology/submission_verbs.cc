@@ -10,7 +10,7 @@
 #include <iotcloud/master/cli/log_lines.h>
 #include <iotcloud/master/cli/options.h>
 #include <iotcloud/master/cli/plugins/plugin_sending.h>
-#include <iotcloud/master/cli/plugins/sibling_program.h>
+#include <iotcloud/master/cli/topology/engine_choice.h>
 #include <iotcloud/master/cli/topology/submission.h>
 #include <iotcloud/master/cli/topology/topology_verbs.h>
 #include <iotcloud/security/sha256.h>
@@ -72,26 +72,17 @@ class Submit final : public Verb {
     if (update_) {
       add_settle(options, request_.settle);
     } else {
-      options
-          .add_option(
-              "--engine", engine_,
-              "pool: workers of ours, on the machines where `iotcloud-topology --pool` runs; storm: a cluster of "
-              "Apache Storm, with further options of `iotcloud-storm submit`")
-          ->check(CLI::IsMember({"pool", "storm"}))
-          ->capture_default_str()
-          ->type_name("ENGINE");
-      options.allow_extras();
-      options_ = &options;
+      engine_.declare(options, "as the file says (its key engine.storm), else pool");
     }
   }
 
   void check() override {
-    if (options_ == nullptr || engine_ == "storm") return;
-    if (const auto extras = options_->remaining(); !extras.empty()) throw CLI::ExtrasError(extras);
+    if (!engine_.given().empty()) engine_.check();  // else the file decides
   }
 
   int run(Call& call) override {
-    if (engine_ == "storm") become_storm();
+    if (!update_) engine_.take(engine_for(file_, engine_.given()));
+    if (engine_.storm()) become_storm(call);
     const auto master = call.connect();
     std::vector<InstanceOutcome> failures;
     prepare(request_, file_, *master, call.progress ? &call.err : nullptr, failures);
@@ -103,24 +94,17 @@ class Submit final : public Verb {
   }
 
  private:
-  /// Storm is served by a program of its own, which links what that takes.
-  [[noreturn]] void become_storm() const {
+  [[noreturn]] void become_storm(const Call& call) const {
     std::vector<std::string> words{"submit", file_};
     if (request_.workers > 0) words.insert(words.end(), {"--workers", std::to_string(request_.workers)});
-    if (request_.wait) {
-      const auto limit = std::chrono::ceil<std::chrono::seconds>(*request_.wait);
-      words.insert(words.end(), {"--limit", std::to_string(limit.count())});
-    }
-    const auto more = options_->remaining();
-    words.insert(words.end(), more.begin(), more.end());
-    become_sibling("iotcloud-storm", words);
+    add_word(words, "--limit", request_.wait);
+    engine_.become(call, std::move(words));
   }
 
   const bool update_;
   std::string file_;
-  std::string engine_ = "pool";
+  EngineChoice engine_;
   SubmitRequest request_;
-  CLI::App* options_ = nullptr;
 };
 
 /// A verb about one topology.
@@ -237,10 +221,11 @@ class Pools final : public Verb {
 
 void add_submission_verbs(Verbs& group) {
   group.add<Submit>(
-      Verb::Card{"submit",
-                 "Have a topology run by pools of workers: its file and its component libraries are checked and sent. "
-                 "Answers when all workers run, or why not",
-                 "iotcloud topology submit follower.yaml --workers 2", Role::admin},
+      Verb::Card{
+          "submit",
+          "Have a topology run by pools of workers, or by Apache Storm: its file and its component libraries are "
+          "checked and sent. Answers when all workers run, or why not",
+          "iotcloud topology submit follower.yaml --workers 2", Role::admin},
       false);
   group.add<Submit>(
       Verb::Card{

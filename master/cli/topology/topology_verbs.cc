@@ -14,6 +14,7 @@
 
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/master/cli/options.h>
+#include <iotcloud/master/cli/topology/engine_choice.h>
 #include <iotcloud/master/cli/topology/pack_verb.h>
 #include <iotcloud/master/cli/topology/topology_pages.h>
 #include <iotcloud/master/cli/topology/topology_tap.h>
@@ -48,6 +49,20 @@ class OfTopology : public Verb {
 
  protected:
   discovery::TopologyName name_;
+};
+
+/// A verb about one topology, also about one on Apache Storm.
+class OfAnyTopology : public OfTopology {
+ public:
+  using OfTopology::OfTopology;
+  void declare(CLI::App& options) override {
+    OfTopology::declare(options);
+    engine_.declare(options, "one of workers of ours");
+  }
+  void check() override { engine_.check(); }
+
+ protected:
+  EngineChoice engine_;
 };
 
 std::string inputs_of(const Json& component) {
@@ -111,13 +126,14 @@ int complain(const TopologyPages& pages, std::ostream& err) {
   return pages.problems().empty() ? exit_ok : exit_failed;
 }
 
-class Show final : public OfTopology {
+class Show final : public OfAnyTopology {
  public:
   Show()
-      : OfTopology({"show", "Show one topology: its graph, workers, totals and errors", "iotcloud topology show echo",
-                    Role::viewer}) {}
+      : OfAnyTopology({"show", "Show one topology: its graph, workers, totals and errors",
+                       "iotcloud topology show echo", Role::viewer}) {}
 
   int run(Call& call) override {
+    if (engine_.storm()) engine_.become(call, {"show", name_});
     const auto master = call.connect();
     const auto topology = find_topology(name_, *master);
     WorkerPages asked(*master, name_);
@@ -218,22 +234,38 @@ class Show final : public OfTopology {
   }
 };
 
-class Metrics final : public OfTopology {
+class Metrics final : public OfAnyTopology {
  public:
   Metrics()
-      : OfTopology({"metrics",
-                    "Show what every component and task did. Of several tasks: sums; p50 of the one with the most "
-                    "samples, p99 and max of the worst",
-                    "iotcloud topology metrics echo --watch", Role::viewer}) {}
+      : OfAnyTopology({"metrics",
+                       "Show what every component and task did. Of several tasks: sums; p50 of the one with the most "
+                       "samples, p99 and max of the worst",
+                       "iotcloud topology metrics echo --watch", Role::viewer}) {}
 
   void declare(CLI::App& options) override {
-    OfTopology::declare(options);
+    OfAnyTopology::declare(options);
     watch_.declare(options);
-    options.add_flag("--rates", rates_, "measure for a second how much each component does; --watch always shows it");
+    options.add_flag(
+        "--rates", rates_,
+        "measure for a second how much each component does; --watch always shows it. Not with Storm, whose "
+        "workers report their counts once a minute or so");
+    auto* window = options.add_option("--window", window_,
+                                      "with Storm: the counts of the last 600, 10800 or 86400 seconds, or :all-time");
+    engine_.for_storm(*window->check(CLI::IsMember({"600", "10800", "86400", ":all-time"}))->type_name("WINDOW"));
+  }
+  void check() override {
+    OfAnyTopology::check();
+    if (engine_.storm() && rates_)
+      throw CLI::ValidationError("--rates", "Storm's workers report their counts once a minute or so: use --watch 60");
   }
   bool goes_on() const override { return watch_.on(); }
 
   int run(Call& call) override {
+    if (engine_.storm()) {
+      std::vector<std::string> words{"metrics", name_};
+      if (!window_.empty()) words.insert(words.end(), {"--window", window_});
+      engine_.become(call, watch_.add_to(std::move(words)));
+    }
     const auto master = call.connect();
     WorkerPages workers(*master, name_);
     if (rates_ && !watch_.on()) {
@@ -267,9 +299,43 @@ class Metrics final : public OfTopology {
 
   WatchOption watch_;
   bool rates_ = false;
+  std::string window_;
   std::optional<TopologyPages> pages_;
   TopologyPages::Json metrics_;
   std::chrono::steady_clock::time_point at_{};
+};
+
+class Errors final : public OfAnyTopology {
+ public:
+  Errors()
+      : OfAnyTopology({"errors", "Show how often each task failed a tuple with an error, and the last one",
+                       "iotcloud topology errors echo", Role::viewer}) {}
+
+  int run(Call& call) override {
+    if (engine_.storm()) engine_.become(call, {"errors", name_});
+    const auto master = call.connect();
+    WorkerPages workers(*master, name_);
+    const TopologyPages pages(find_topology(name_, *master), workers);
+    Rows rows;
+    Json json = Json::array();
+    const Json metrics = pages.metrics();
+    for (const Json& component : metrics.at("components")) {
+      for (const Json& task : component.at("tasks")) {
+        if (task.at("errors") == 0) continue;
+        const Json row{{"component", component.at("component")},
+                       {"worker", task.at("worker")},
+                       {"task", task.at("task")},
+                       {"errors", task.at("errors")},
+                       {"error", task.at("last_error")}};
+        rows.push_back({printable(row.at("component").get<std::string>()),
+                        printable(row.at("worker").get<std::string>()), row.at("task").dump(), row.at("errors").dump(),
+                        printable(row.at("error").get<std::string>())});
+        json.push_back(row);
+      }
+    }
+    print(call.out, call.format, {"COMPONENT", "WORKER", "TASK", "ERRORS", "LAST ERROR"}, rows, json);
+    return complain(pages, call.err);
+  }
 };
 
 class Tap final : public OfTopology {
@@ -307,14 +373,25 @@ class ChangeTopology final : public Verb {
   void declare(CLI::App& options) override {
     options.add_option("TOPOLOGY", request_.topology, "the topology")->required();
     add_wait(options, request_.wait, "--timeout", "seconds to wait until all workers have followed");
-    if (request_.change == TopologyChange::rebalance)
-      options.add_option("COMPONENT=N", parallelism_, "from 1 to the component's number of tasks")->required();
+    engine_.declare(options, "one of workers of ours");
+    if (request_.change == TopologyChange::rebalance) {
+      options.add_option("COMPONENT=N", parallelism_, "from 1 to the component's number of tasks");
+      engine_.for_storm(*options.add_option("--workers", workers_, "with Storm: how many workers it has from now on")
+                             ->check(CLI::Range(1, 10'000))
+                             ->type_name("N"));
+    }
     if (request_.change == TopologyChange::kill)
       add_seconds(options, "--drain", request_.drain, 0.0, 600.0, "seconds that what is under way may take")
           .default_str("10");
   }
 
   void check() override {
+    engine_.check();
+    const bool rebalances = request_.change == TopologyChange::rebalance;
+    if (rebalances && parallelism_.empty() && !workers_)
+      throw CLI::RequiredError(engine_.storm() ? "COMPONENT=N or --workers" : "COMPONENT=N");
+    if (engine_.storm() && request_.wait && !rebalances)
+      throw CLI::ValidationError("--timeout", "Storm has done this when its Nimbus answers, and kills after --drain");
     for (const auto& [component, count] : pairs(parallelism_, "COMPONENT=N")) {
       auto& number = request_.parallelism[component];
       if (!CLI::detail::lexical_cast(count, number) || number < 1)
@@ -323,6 +400,7 @@ class ChangeTopology final : public Verb {
   }
 
   int run(Call& call) override {
+    if (engine_.storm()) become_storm(call);
     const auto result = call.connect()->order(request_);
     const int status = result.all_done() ? exit_ok : exit_failed;
     if (call.format != Format::table) {
@@ -346,8 +424,19 @@ class ChangeTopology final : public Verb {
   }
 
  private:
+  [[noreturn]] void become_storm(const Call& call) const {
+    std::vector<std::string> words{card.name, request_.topology};
+    words.insert(words.end(), parallelism_.begin(), parallelism_.end());
+    add_word(words, "--workers", workers_);
+    add_word(words, "--limit", request_.wait);
+    if (request_.change == TopologyChange::kill) add_word(words, "--wait", WaitLimit(request_.drain));
+    engine_.become(call, std::move(words));
+  }
+
   TopologyRequest request_;
   std::vector<std::string> parallelism_;
+  std::optional<int> workers_;
+  EngineChoice engine_;
 };
 
 /// Replaces this process by the program `iotcloud-topology`, which knows topologies.
@@ -400,14 +489,17 @@ void add_topology_verbs(Verbs& verbs) {
   change(TopologyChange::deactivate, "deactivate",
          "Let the spouts of a topology pause; what is under way goes on. It stays so, for workers that start later too",
          "iotcloud topology deactivate echo");
-  change(TopologyChange::rebalance, "rebalance",
-         "Change how many tasks of a component may run at the same time, in each worker; for later workers too",
-         "iotcloud topology rebalance echo echo_send=2");
+  change(
+      TopologyChange::rebalance, "rebalance",
+      "Change how many tasks of a component may run at the same time, in each worker; for later workers too. On Storm "
+      "also the number of workers",
+      "iotcloud topology rebalance echo echo_send=2");
   change(TopologyChange::kill, "kill",
          "End a topology: its workers take nothing in, finish what is under way, and their processes end",
          "iotcloud topology kill echo --drain 30");
   add_submission_verbs(group);
   group.add<Metrics>();
+  group.add<Errors>();
   group.add<Tap>();
   group.add<Check>();
   group.add(pack_topology_verb());

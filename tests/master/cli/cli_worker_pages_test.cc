@@ -31,17 +31,18 @@ constexpr const char* page = R"({"topology": "echo", "worker": "w1", "active": t
   "arrivals": [{"component": "in", "age_s": 1.25, "backlog": 90, "topic": "g.d.one.up", "most": 70},
                {"component": "other", "age_s": null, "backlog": null, "topic": "", "most": 0}],
   "troubles": [{"component": "in", "text": "its topics differ"}]})";
-/// The same with a task that has emitted so many tuples.
-std::string page_after(int emitted) {
+/// The same with a task that has emitted so many tuples, and failed so many with an error.
+std::string page_after(int emitted, int errors) {
   constexpr const char* latency = R"({"count": 0, "p50_us": 0, "p99_us": 0, "max_us": 0})";
   auto text = nlohmann::json::parse(page);
-  auto& task = text["tasks"].emplace_back(
-      nlohmann::json{{"component", "in"}, {"task", 1}, {"capacity", 0.5}, {"last_error", ""}});
+  auto& task = text["tasks"].emplace_back(nlohmann::json{
+      {"component", "in"}, {"task", 1}, {"capacity", 0.5}, {"last_error", errors > 0 ? "no depth" : ""}});
   for (const char* count : {"transferred", "executed", "acked", "failed", "timed_out", "late", "superseded", "errors",
                             "queue_depth", "pending"})
     task[count] = 0;
   for (const char* name : {"execute", "process", "complete"}) task[name] = nlohmann::json::parse(latency);
   task["emitted"] = emitted;
+  task["errors"] = errors;
   return text.dump();
 }
 constexpr const char* samples = R"({"samples": [{"time_ms": 5, "task": 7, "source": "in", "stream": "default",
@@ -62,7 +63,7 @@ class CliOfAFarWorker : public Cli {
                        {"/topology",
                         [this](const auto&) {
                           if (growth_ > 0)
-                            return rpc::HttpAnswer{200, "application/json", page_after(emitted_ += growth_)};
+                            return rpc::HttpAnswer{200, "application/json", page_after(emitted_ += growth_, errors_)};
                           return rpc::HttpAnswer{200, "application/json", page + std::string(padding_, ' ')};
                         }},
                        {"/tap", answers(samples)},
@@ -112,6 +113,7 @@ class CliOfAFarWorker : public Cli {
   std::atomic<std::size_t> padding_ = 0;  ///< bytes that follow the page
   std::atomic<int> growth_ = 0;           ///< tuples that its task emits from one look at its page to the next
   std::atomic<int> emitted_ = 0;
+  std::atomic<int> errors_ = 0;
   std::optional<rpc::HttpServer> pages_;
   std::string port_;  ///< ":12345"
   discovery::WorkerRecord worker_;
@@ -146,6 +148,18 @@ TEST_F(CliOfAFarWorker, RatesSayHowFastACounterGrows) {
   EXPECT_EQ(rated["rate"]["executed"], 0);
   EXPECT_THAT(run({"topology", "metrics", "echo", "--rates"}).out,
               AllOf(HasSubstr("EMITS/S"), testing::ContainsRegex("in +all +[1-9][0-9]*\\.[0-9] +0\\.0 +250 ")));
+}
+
+TEST_F(CliOfAFarWorker, ErrorsAreListedByTask) {
+  growth_ = 1;
+  show_worker();
+  EXPECT_EQ(run_json({"topology", "errors", "echo"}), nlohmann::json::array());
+  errors_ = 3;
+  const auto errors = run_json({"topology", "errors", "echo"});
+  ASSERT_EQ(errors.size(), 1U);
+  EXPECT_EQ(errors[0],
+            (nlohmann::json{{"component", "in"}, {"worker", "w1"}, {"task", 1}, {"errors", 3}, {"error", "no depth"}}));
+  EXPECT_THAT(run({"topology", "errors", "echo"}).out, testing::ContainsRegex("in +w1 +1 +3 +no depth"));
 }
 
 TEST_F(CliOfAFarWorker, SaysHowAWorkerIsMadeToBeSeenFromElsewhere) {

@@ -36,8 +36,9 @@ class StormCase(unittest.TestCase):
         cls.addClassCleanup(cls.storm.stop)
         cls.storm.start()
 
-    def run_program(self, *words):
-        return subprocess.run([self.build / "bin" / "iotcloud-storm", *words], text=True, capture_output=True, check=False)
+    def run_program(self, *words, program=("iotcloud-storm",)):
+        return subprocess.run([self.build / "bin" / program[0], *program[1:], *words], text=True, capture_output=True,
+                              check=False)
 
     def storm_jar(self, jar, main, *words):
         """As the command `storm jar` of Storm does it."""
@@ -51,7 +52,7 @@ class StormCase(unittest.TestCase):
         return done.stdout
 
     def table(self, *words):
-        return json.loads(self.ask(*words, "--json"))
+        return json.loads(self.ask(*words, "-o", "json"))
 
     def artifacts(self, pattern):
         """Files that the workers left."""

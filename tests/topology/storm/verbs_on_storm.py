@@ -92,9 +92,9 @@ class VerbsOnStorm(StormCase):
 
     def has_workers(self, count):
         """Whether the topology has so many workers, in which all its executors run, and no worker of before runs."""
-        (topology,) = [row for row in self.table("list") if row["name"] == "steady"]
-        return (topology["workers"] == count == len(self.storm.running_workers()) and
-                all(row["runs"] for row in self.table("show", "steady")))
+        (topology,) = [row for row in self.table("list") if row["topology"] == "steady"]
+        return (len(topology["workers"]) == count == len(self.storm.running_workers()) and
+                all(row["runs"] for row in self.table("show", "steady")["executors"]))
 
     def test_verbs_while_tuples_flow(self):
         self.submit(steady(self.library, self.out, "steady", 2))
@@ -104,7 +104,7 @@ class VerbsOnStorm(StormCase):
         for count in (1, 4):
             said = self.ask("rebalance", "steady", "--workers", str(count), "--wait", "1", "--limit", str(self.limit_s))
             self.assertRegex(said, r"steady runs: \d+ tasks in %d workers" % count)
-            rows = self.table("show", "steady")
+            rows = self.table("show", "steady")["executors"]
             self.assertEqual((len({row["worker"] for row in rows}), {row["runs"] for row in rows}), (count, {True}))
             self.wait_for("only %d workers" % count, lambda n=count: self.has_workers(n))
             self.wait_for_more("in %d workers" % count)
@@ -112,7 +112,7 @@ class VerbsOnStorm(StormCase):
         self.check_crash()
         self.check_nimbus()
         self.ask("kill", "steady", "--wait", "0")
-        self.assertNotIn("steady", [row["name"] for row in self.table("list")])
+        self.assertNotIn("steady", [row["topology"] for row in self.table("list")])
         refused = self.run_program("show", "steady", "--nimbus", self.storm.url())
         self.assertEqual(refused.returncode, 1)
         self.assertIn('no topology "steady" runs', refused.stderr)
@@ -132,7 +132,7 @@ class VerbsOnStorm(StormCase):
 
     def check_metrics(self):
         def counts():
-            return {row["component"]: row for row in self.table("metrics", "steady")}
+            return {row["component"]: row["sum"] for row in self.table("metrics", "steady")["components"]}
         self.wait_for("Storm's counts", lambda: counts()["count"]["executed"] > 0 and counts()["numbers"]["acked"] > 0)
         rows = counts()
         self.assertEqual(set(rows), {"numbers", "crash", "count"})
@@ -144,14 +144,14 @@ class VerbsOnStorm(StormCase):
         self.assertEqual([bool(re.search(r"^test_emissions_total [1-9]", text, re.M)) for text in texts].count(True), 1)
         for name in ("iotcloud_spout_complete_seconds", "iotcloud_task_execute_seconds"):
             self.assertTrue(any(re.search(r"^%s_count\S* [1-9]" % name, text, re.M) for text in texts), name)
-        self.assertGreater(float(rows["count"]["execute_ms"]) + float(rows["numbers"]["complete_ms"]), 0)
+        self.assertGreater(rows["count"]["execute"]["mean_us"] + rows["numbers"]["complete"]["mean_us"], 0)
 
     def check_activation(self):
         active = self.spout()
         self.assertEqual((active["activated"], active["deactivated"]), (1, 0))
         self.assertIn("steady is inactive", self.ask("deactivate", "steady"))
         self.wait_for("the spout is inactive", lambda: self.spout()["deactivated"] == 1)
-        self.assertEqual([row["state"] for row in self.table("list") if row["name"] == "steady"], ["INACTIVE"])
+        self.assertEqual([row["state"] for row in self.table("list") if row["topology"] == "steady"], ["inactive"])
         self.wait_for("what was under way is acked", lambda: self.spout()["acked"] == self.spout()["emitted"])
         self.assertIn("steady is active", self.ask("activate", "steady"))
         self.wait_for("the spout is active", lambda: self.spout()["activated"] == 2)

@@ -52,18 +52,22 @@ bool is_own(const std::string& component) {
   return component.starts_with("__");
 }
 
+/// How the text of an error begins that a C++ component reports while it runs; what it throws when it cannot be opened
+/// is of another class of Java.
+constexpr std::string_view of_running_component = "iotcloud.storm.ComponentError: ";
+
 /// The first line of a Java exception's text, without the class of ours, which tells nothing.
 std::string without_stack(const std::string& error) {
   const std::string line = error.substr(0, error.find('\n'));
-  constexpr std::string_view ours = "iotcloud.storm.ComponentError: ";
-  return line.starts_with(ours) ? line.substr(ours.size()) : line;
+  return line.starts_with(of_running_component) ? line.substr(of_running_component.size()) : line;
 }
 
 std::vector<ReportedError> errors_of(const std::map<std::string, std::vector<idl::ErrorInfo>>& by_component) {
   std::vector<ReportedError> errors;
   for (const auto& [component, reported] : by_component) {
     for (const auto& each : reported)
-      errors.push_back({component, without_stack(each.error), each.error_time_secs, each.host, each.port});
+      errors.push_back({component, without_stack(each.error), each.error_time_secs, each.host, each.port,
+                        each.error.starts_with(of_running_component)});
   }
   std::sort(errors.begin(), errors.end(), [](const auto& a, const auto& b) { return a.at_s > b.at_s; });
   return errors;
@@ -84,6 +88,7 @@ ComponentCounts counts_of(const std::string& component, const idl::ComponentAggr
   counts.execute_ms = stats.specific_stats.bolt.execute_latency_ms;
   counts.process_ms = stats.specific_stats.bolt.process_latency_ms;
   counts.capacity = stats.specific_stats.bolt.capacity;
+  counts.last_error = without_stack(stats.last_error.error);
   counts.complete_ms = stats.specific_stats.spout.complete_latency_ms;
   return counts;
 }

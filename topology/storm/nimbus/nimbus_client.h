@@ -51,6 +51,7 @@ struct ReportedError {
   std::int64_t at_s = 0;  ///< since 1970 UTC
   std::string host;
   int port = 0;
+  bool of_tuple = false;  ///< a C++ component failed a tuple, and goes on; else its worker ended
 
   bool operator==(const ReportedError&) const = default;
 };
@@ -69,6 +70,7 @@ struct ComponentCounts {
   double execute_ms = 0;   ///< bolts: duration of execute()
   double process_ms = 0;   ///< bolts: until the ack
   double complete_ms = 0;  ///< spouts: until the tree is done
+  std::string last_error;  ///< empty: none
   double capacity = 0;     ///< bolts: part of the last minutes in which its busiest executor was busy
 };
 

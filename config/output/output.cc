@@ -8,9 +8,9 @@
 #include <yaml-cpp/emitter.h>
 
 #include <iotcloud/config/clock.h>
-#include <iotcloud/master/cli/output.h>
+#include <iotcloud/config/output/output.h>
 
-namespace iotcloud::master::cli {
+namespace iotcloud::config::output {
 
 namespace {
 
@@ -103,6 +103,10 @@ std::int64_t now_ms() {
   return config::system_clock().wall_ms();
 }
 
+std::int64_t began_ms(std::chrono::seconds lasted) {
+  return config::system_clock().wall_ms() - std::chrono::milliseconds(lasted).count();
+}
+
 std::string moment(std::int64_t time_ms) {
   if (time_ms <= 0) return "-";
   constexpr std::int64_t ms = 1000;
@@ -125,4 +129,4 @@ std::string printable(const std::string& text) {
   return out;
 }
 
-}  // namespace iotcloud::master::cli
+}  // namespace iotcloud::config::output
