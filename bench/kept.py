@@ -23,6 +23,9 @@ import page
 from figures import number
 
 BLOCK = re.compile(r"(<!-- result: (?P<name>[\w/.-]+)(?: (?P<chosen>[^\n]*?))? -->\n).*?(<!-- end of result -->)", re.S)
+# What tests measure beside what they test.
+OF_TESTS = {"pool": "./dev test -R topologies_are_submitted_to_pools", "storm_faults": "./dev test --long -R storm_under_faults",
+            "storm_shares": "./dev test --long -R storm_tasks_share"}
 NEEDED = ("machine", "commit", "command", "results")
 
 
@@ -67,7 +70,7 @@ def shown(results, name, chosen):
     file = results / f"{name}.json"
     if not file.exists():
         command = name.removeprefix("paper/").replace("figure-", "paper --figure ").replace("storm-", "storm --")
-        return f"No run is kept in the project; `./dev bench {command}` takes these figures.\n"
+        return f"No run is kept in the project; `{OF_TESTS.get(name, f'./dev bench {command}')}` takes these figures.\n"
     data = read(file)
     rows = [row(result) for result in data["results"]
             if (re.search(chosen, result["name"]) if chosen else result.get("met") is not None)]

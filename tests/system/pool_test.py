@@ -1,12 +1,13 @@
 #!/usr/bin/python3
 """Topologies are submitted to a pool of two daemons. Under load, their workers are updated one by one, taken over from a
 pool that is killed with its workers, and adopted by a pool that is killed alone: no message is lost. What cannot run is
-refused with the reason, or taken back.
+refused with the reason, or taken back. At the end a manifest says which topologies there are.
 
-usage: pool_test.py BUILD_DIR
+usage: pool_test.py BUILD_DIR LIBRARY [--json FILE]     (LIBRARY: passing.so; FILE: gets the figures)
 """
 
 import argparse
+import json
 import os
 import shutil
 import signal
@@ -15,13 +16,19 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
 sys.path.insert(0, str(HERE.parent / "servers"))
+sys.path.insert(0, str(ROOT / "bench"))
 
+import figures  # noqa: E402
+import versions  # noqa: E402
+from fake_nimbus import FakeNimbus, topology as storms_topology  # noqa: E402
 from private_cluster import PATIENT_STOP, PrivateCluster, require, result_of, wait_for  # noqa: E402
 
 DRIVERS = 4
 SESSION = "4s"
 CALL_LIMIT_S = 5  # a busy machine lets a thread wait, too
+SUBMIT_LIMIT_S = 3  # from submitting to running, as a figure's target
 
 
 def topology(library="passing.so", bolt="passing.Pass", fail_at="nowhere", grouping="fields, fields: [driverID]", stand_still=""):
@@ -85,10 +92,21 @@ worker_restart: {{first: 100ms, give_up_after: 3}}
         names = [place["worker"] for place in shown["places"] if place["pool"] == pool]
         return [worker["pid"] for worker in shown["workers"] if worker["worker"] in names]
 
-    def refused(self, *words):
+    def refused(self, *words, status=1):
         done = self.run_cli("topology", *words)
-        require(done.returncode == 1, f"{words}: {done}")
+        require(done.returncode == status, f"{words}: {done}")
         return done.stdout + done.stderr
+
+    def apply(self, verb, manifest, status):
+        """What diff or apply of this manifest says of topologies, with this exit status: ["submit echo", ...]."""
+        file = self.out / "fleet.yaml"
+        file.write_text(manifest)
+        done = self.run_cli(verb, "-f", file, "-o", "json")
+        require(done.returncode == status, f"{verb}: {done}")
+        if not done.stdout:
+            return done.stderr
+        changes = json.loads(done.stdout).get("topologies", {"changes": []})["changes"]
+        return [f"{change['change']} {change['topology']}" for change in changes]
 
 
 def check_refusals(pools):
@@ -100,8 +118,11 @@ def check_refusals(pools):
     across = pools.file("across.yaml", topology(grouping="global"))
     text = pools.refused("submit", across, "--workers", "2")
     require("--engine storm" in text and "pass <- receive" in text, text)
-    text = pools.refused("submit", across, "--engine", "storm")
-    require("iotcloud-storm" in text, text)
+    text = pools.refused("submit", across, "--engine", "storm", "--nimbus", "127.0.0.1:1", "--patience", "0")
+    require("no Nimbus answers and leads (127.0.0.1:1: " in text, text)
+    on_storm = pools.file("on-storm.yaml", topology() + "engine: {storm: {workers: 2}}\n")
+    text = pools.refused("submit", on_storm, "--engine", "pool", status=2)
+    require("on-storm.yaml:16:" in text and "engine.storm: the file gives the topology to Apache Storm" in text, text)
     require(pools.json("topology", "list") == [], "something was submitted")
 
 
@@ -120,7 +141,10 @@ def submit(pools):
     pools.require_places(("pool-1", 2), ("pool-2", 2))
     text = pools.refused("submit", file)
     require("submitted already" in text, text)
+    text = pools.refused("submit", file, "--engine", "storm", "--nimbus", "127.0.0.1:1", "--patience", "0")
+    require("workers of ours run a topology echo already" in text and "topology kill echo" in text, text)
     print(f"submit to running: {took:.2f} s, 2 workers in 2 pools")
+    return took
 
 
 def check_update(pools):
@@ -190,13 +214,69 @@ def check_words(pools):
 
 
 def check_kill(pools):
+    """The name is free again afterwards. Returns how long it took to submit it once more."""
     answer = pools.answer("topology", "kill", "echo")
     require(answer["ok"] and len(answer["outcomes"]) == 2, answer)
     require(pools.json("topology", "list") == [], "it is still there")
     wait_for("no pool has a place", lambda: all(not pool["places"] for pool in pools.json("topology", "pools")))
-    pools.cli("topology", "submit", pools.out / "topologies" / "echo.yaml")  # the name is free again
-    wait_for("its worker is listed", lambda: len(pools.places()) == 1)
+    begun = time.monotonic()
+    pools.cli("topology", "submit", pools.out / "topologies" / "echo.yaml", "--workers", "2")
+    took = time.monotonic() - begun
+    wait_for("both workers are listed", lambda: len(pools.places()) == 2)
     pools.cli("topology", "kill", "echo")
+    return took
+
+
+def check_storms_list(pools):
+    """Nimbus is asked in place of the master."""
+    nimbus = FakeNimbus(storms_topology("words"))
+    try:
+        words = ("topology", "list", "--engine", "storm", "--nimbus", nimbus.url())
+        require([row["topology"] for row in pools.json(*words)] == ["words"], "Storm's topologies")
+        require("words" in pools.cli(*words), "Storm's topologies in a table")
+        require(pools.json("topology", "list") == [], "ours")
+    finally:
+        nimbus.stop()
+
+
+def check_manifest(pools):
+    """A manifest's topologies are submitted, updated and killed as it says, and what it cannot have is refused at its line."""
+    def manifest(workers, file="topologies/echo.yaml"):
+        return f"fleet: lab\ntopologies:\n  echo: {{file: {file}, workers: {workers}}}\n"
+
+    for name, text, why in (("bad", topology(bolt="passing.Psas"), "passing.Psas"),
+                            ("on-storm", topology() + "engine: {storm: {workers: 2}}\n", "engine.storm: the file gives")):
+        pools.file(f"{name}.yaml", text)
+        said = pools.apply("apply", manifest(1, f"topologies/{name}.yaml"), 2)
+        require("fleet.yaml:3:" in said and "topologies.echo" in said and why in said, said)
+    said = pools.apply("apply", manifest(2, "topologies/across.yaml"), 2)
+    require("--engine storm" in said, said)
+    require(pools.apply("diff", manifest(1), 4) == ["submit echo"], "what is missing")
+    require(pools.json("topology", "list") == [], "diff submitted something")
+    require(pools.apply("apply", manifest(1), 0) == ["submit echo"], "it is submitted")
+    wait_for("its worker is listed", lambda: len(pools.places()) == 1)
+    require(pools.apply("apply", manifest(1), 0) == [], "applied twice it changes nothing")
+    before = pools.show()["version"]
+    library = pools.out / "topologies" / "passing.so"
+    library.write_bytes(library.read_bytes() + b"once more")
+    require(pools.apply("apply", manifest(2), 0) == ["update echo"], "file and workers differ")
+    pools.require_places(("pool-1", before + 1), ("pool-2", before + 1))
+    require(pools.apply("diff", manifest(2), 0) == [], "it is as the manifest says")
+    unable = topology(fail_at="prepare")
+    pools.file("echo.yaml", unable)
+    require(pools.apply("apply", manifest(2), 1) == ["update echo"], "what cannot run is not done")
+    wait_for("the version before runs again", lambda: sorted(pools.places()) == [("pool-1", before + 1), ("pool-2", before + 1)])
+    require(pools.apply("apply", "fleet: lab\ntopologies: {}\n", 0) == ["kill echo"], "it is named no more")
+    require(pools.json("topology", "list") == [], "it is still there")
+
+
+def figures_of(submits_s, lost):
+    """What was measured, in the form of a benchmark's results."""
+    slowest = max(submits_s)
+    return [{"name": "pool of two daemons: submit to running, 2 workers, the slower one", "value": slowest, "unit": "s",
+             "target": f"<= {SUBMIT_LIMIT_S}", "met": slowest <= SUBMIT_LIMIT_S, "rounds": len(submits_s)},
+            {"name": "pool of two daemons: messages lost in updates, rollbacks and takeovers under load", "value": lost,
+             "unit": "messages", "target": "none", "met": lost == 0}]
 
 
 def main():
@@ -205,7 +285,9 @@ def main():
     parser.add_argument("library", help="the component library passing.so")
     parser.add_argument("--rate", type=int, default=100, help="messages a second of each driver")
     parser.add_argument("--seconds", type=int, default=14)
+    parser.add_argument("--json", type=Path, help="writes the figures to this file")
     given = parser.parse_args()
+    begun = figures.begin(ROOT) if given.json else None
     build = Path(given.build).resolve()
     work = build / "pool-test"
     shutil.rmtree(work, ignore_errors=True)
@@ -220,7 +302,7 @@ def main():
         shutil.copy(given.library, work / "topologies" / "passing.so")
         check_refusals(pools)
         check_taken_back(pools)
-        submit(pools)
+        submits_s = [submit(pools)]
         reports = [work / f"report-{number}.json" for number in range(DRIVERS)]
         for report in reports:
             pools.deploy("loadgen.so", "gateway-1", {"count": count, "rate": given.rate, "report": report})
@@ -231,11 +313,17 @@ def main():
         check_words(pools)
         wait_for("all drivers have everything back", lambda: all(map(result_of, reports)), 180)
         pools.require_alive()
+        lost = sum(result_of(report)["lost"] for report in reports)
         for report in reports:
             result = result_of(report)
             wrong = {key: result[key] for key in ("lost", "damaged", "foreign") if result[key]}
             require(not wrong and result["sent"] == count, f"{report.name}: {result}")
-        check_kill(pools)
+        submits_s.append(check_kill(pools))
+        check_storms_list(pools)
+        check_manifest(pools)
+    if given.json:
+        figures.write(given.json, "./dev test -R topologies_are_submitted_to_pools", begun,
+                      {"versions": versions.asked(build, "rabbitmq", "zookeeper")}, figures_of(submits_s, lost))
     print(f"{DRIVERS} drivers x {count} messages, {DRIVERS * given.rate}/s, none lost")
 
 

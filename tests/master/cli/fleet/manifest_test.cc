@@ -56,6 +56,29 @@ deployments:
   }
 }
 
+TEST(Manifest, SaysTopologiesWithTheirFilesAndWorkers) {
+  const auto manifest =
+      read("fleet: lab\ntopologies:\n  second: {file: b.yaml}\n  echo: {file: dir/echo.yaml, workers: 3}\n");
+  ASSERT_THAT(manifest.topologies, SizeIs(2));
+  EXPECT_EQ(manifest.topologies[0].name, "second");  // in the order of the file
+  EXPECT_EQ(manifest.topologies[0].workers, 1);
+  EXPECT_EQ(manifest.topologies[1].name, "echo");
+  EXPECT_EQ(manifest.topologies[1].file, "dir/echo.yaml");
+  EXPECT_EQ(manifest.topologies[1].workers, 3);
+  EXPECT_EQ(manifest.topologies[1].place.line, 4);
+  EXPECT_THAT(manifest.deployments, IsEmpty());
+}
+
+TEST(Manifest, RefusesTopologiesThatItCannotRead) {
+  const std::string text = error_of_whole(
+      "fleet: lab\ntopologies:\n  a/b: {file: a.yaml}\n  one: {workers: 2}\n  two: {file: t.yaml, workers: 0}\n"
+      "  three: {file: t.yaml, worker: 2}\n");
+  for (const char* part : {"fleet.yaml:3:", "topologies.one: the key \"file\" is missing", "topologies.two.workers",
+                           "topologies.three.worker: unknown key; did you mean \"workers\"?"}) {
+    EXPECT_THAT(text, HasSubstr(part));
+  }
+}
+
 TEST(Manifest, SaysDeploymentsWithWhatTheirInstancesAreToBe) {
   const auto manifest = read(R"(
 fleet: lab
