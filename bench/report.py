@@ -10,6 +10,7 @@ usage: ./dev bench runtime [--quick] [--build DIR] [--json FILE]      (it builds
                          [--build DIR] [--out FOLDER]
        ./dev bench storm [--quick | --full] [--points REGEX] [--rounds N] [--keep-noisy] [--build DIR] [--out FOLDER]
                          as paper --figure storm
+       ./dev bench storm --turtlebot [--quick] [--rounds N] [--build DIR] [--out FOLDER]
        ./dev bench codec [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        ./dev bench follower [--quick] [--rounds N] [--frames FOLDER]... [--build DIR] [--json FILE]
        ./dev bench soak [--minutes N] [--seed N] [--build DIR] [--json FILE]

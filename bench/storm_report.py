@@ -245,6 +245,8 @@ def add_options(command, root):
     command.add_argument("--keep-noisy", action="store_true", help="rounds in which other processes took much CPU count, too")
     command.add_argument("--soak", action="store_const", dest="figure", const=["storm-soak"], help="only this: does the memory of "
                          "Storm's workers with components of C++ grow under load?")
+    command.add_argument("--turtlebot", action="store_const", dest="figure", const=["storm-turtlebot"], help="only this: how soon "
+                         "does the TurtleBot obey when its topology is on Storm, beside our own worker?")
     command.add_argument("--minutes", type=float, help="of --soak; default: 20")
     command.add_argument("--out", type=Path, default=root / "build/bench/paper", help="where the figure's file goes")
     command.set_defaults(figure=[FIGURE.name], broker=None)

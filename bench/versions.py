@@ -66,7 +66,8 @@ def redis():
 
 
 def storm():
-    return {"Storm": of_jar(ROOT / "build/bench/storm/jars", "storm-server-*.jar"), "JVM": jvm()}
+    return {"Storm": of_jar(ROOT / "build/bench/storm/jars", "storm-server-*.jar") or of_jar(FETCHED / "storm", "storm-server-*.jar"),
+            "JVM": jvm()}
 
 
 def jvm():

@@ -30,6 +30,7 @@ FIGURES = [
     turtlebot.FIGURE,
     storm_report.FIGURE,
     storm_soak.SOAK,
+    turtlebot.ON_STORM,
 ]
 
 

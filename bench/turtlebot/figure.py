@@ -25,18 +25,22 @@ PAPER = [("the paper", {"mean_ms": 33.26, "stddev_ms": 2.91, "source": "section 
          ("the paper, without processing", {"mean_ms": 10, "source": "section 5.4, \"around 10ms\""})]
 
 
-def topology_with_stamps(library, folder):
-    """The example's own YAML, with the bolts of the library that records time stamps."""
+def changed_follower(library, changes):
+    """The example's own YAML with another library, and with (old, new, how often it is there)."""
     text = FOLLOWER.read_text()
-    changes = [('zk.servers: ["127.0.0.1:2181"]', 'zk.servers: ["{zookeeper}"]'),
-               ('topology.library: "turtlebot_follower.so"', f'topology.library: "{library}"'),
-               ("    class: \"turtlebot.Decoder\"\n", f"    class: \"turtlebot.Decoder\"\n    conf: {{stamps: \"{folder}\"}}\n"),
-               ("    conf: {goal_distance", f"    conf: {{stamps: \"{folder}\", goal_distance")]
-    for old, new in changes:
-        if text.count(old) != 1:
-            raise StartError(f"{FOLLOWER} has changed: it does not have {old!r} once; change {__file__}, too")
+    for old, new, count in [('zk.servers: ["127.0.0.1:2181"]', 'zk.servers: ["{zookeeper}"]', 1),
+                            ('topology.library: "turtlebot_follower.so"', f'topology.library: "{library}"', 1), *changes]:
+        if text.count(old) != count:
+            raise StartError(f"{FOLLOWER} has changed: it does not have {old!r} {count} times; change {__file__}, too")
         text = text.replace(old, new)
     return text
+
+
+def topology_with_stamps(library, folder):
+    """The example's own YAML, with the bolts of the library that records time stamps."""
+    decoder = "    class: \"turtlebot.Decoder\"\n"
+    return changed_follower(library, [(decoder, f"{decoder}    conf: {{stamps: \"{folder}\"}}\n", 1),
+                                      ("    conf: {goal_distance", f"    conf: {{stamps: \"{folder}\", goal_distance", 1)])
 
 
 class Loop(System):
@@ -76,12 +80,13 @@ class Loop(System):
         finally:
             self.cluster.__exit__(*failure)
 
-    def measure_loop(self):
+    def measure_loop(self, driver="turtle"):
         """Deploys a robot, measures and undeploys it. Returns a line; its "frames" are those that count."""
         self.rounds += 1
         trace = self.folder / f"trace-{self.rounds}.csv"
-        self.cluster.deploy("turtle.so", f"gateway-{1 + self.rounds % 2}",
-                            {"rate": RATE, "seed": self.rounds, "codec": "reference", "trace": trace})
+        properties = {"rate": RATE, "seed": self.rounds, "codec": "reference", "trace": trace}
+        self.cluster.cli("deploy", "turtle.so", "--gateway", f"gateway-{1 + self.rounds % 2}", "--driver", driver,
+                         *(f"--property={name}={value}" for name, value in properties.items()))
         first = self._first_answered(trace)
         before = Company()
         time.sleep((WARM_UP + FRAMES) / RATE)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from brokers_report import Report
 from paper.points import Pair
-from turtlebot import FIGURE, figure, parts, tap
+from turtlebot import FIGURE, ON_STORM, figure, on_storm, parts, tap
 
 MS = 1_000_000
 PERIOD = 50 * MS
@@ -168,6 +168,28 @@ class FigureTest(unittest.TestCase):
         self.assertIn('topology.library: "/lib.so"', text)
         self.assertEqual(text.count('stamps: "/stamps"'), 2)
         self.assertIn('zk.servers: ["{zookeeper}"]', text)
+
+    def test_on_storm_it_is_the_examples_for_a_driver_of_its_own(self):
+        text = on_storm.topology_on_storm("/lib.so")
+        self.assertIn('topology.library: "/lib.so"', text)
+        self.assertEqual(text.count(f'driver: "{on_storm.DRIVER}"'), 2)
+        self.assertNotIn('driver: "turtle"', text)
+
+    def judged_on_storm(self, whole_ms, lost=0):
+        frame = parts.Frame({"seq": "0", "time_ms": "1", "monotonic_us": "0", "render_us": "0", "encode_us": "0",
+                             "payload_bytes": "56000", "answered": "1", "latency_us": str(whole_ms * 1000)})
+        line = {**parts.statistics_of([whole_ms], lost), "frames": [frame], "others_cpu": 0.0}
+        pair, report = Pair("on Storm"), Report()
+        pair.ours, pair.theirs = [line], [line]
+        return ON_STORM.judge(pair, report), report
+
+    def test_on_storm_targets_are_of_all_frames_and_our_worker_is_beside(self):
+        met = [[result["met"] for result in self.judged_on_storm(whole)[1].results if result["target"]] for whole in (3, 5, 13)]
+        self.assertEqual(met, [[True, True], [False, True], [False, False]])
+        plots, report = self.judged_on_storm(3)
+        self.assertEqual({result["baseline"] for result in report.results if result["baseline"]}, {on_storm.OWN})
+        self.assertEqual([series["kind"] for series in plots[0]["series"]], ["ours", "limit"])
+        self.assertTrue(self.judged_on_storm(3, lost=1)[1].failed)
 
     @unittest.skipUnless("IOTCLOUD_BUILD" in os.environ, "IOTCLOUD_BUILD names a build with the worker and the bolts")
     def test_the_worker_takes_the_topology_with_time_stamps(self):

@@ -100,15 +100,12 @@ class Faults:
         return {key: sum(result[key] for result in results) for key in COUNTED}
 
 
-def storm_version():
-    return versions.of_jar(versions.FETCHED / "storm", "storm-server-*.jar")
-
-
 def figures_of(table):
     """The counts in the form of a benchmark's results."""
     for harm, counts in table.items():
         yield {"name": harm, "value": counts["received"], "unit": "messages", "baseline": "sent", "baseline_value": counts["sent"],
                "ratio": counts["received"] / counts["sent"], "target": "all", "met": counts["received"] == counts["sent"]}
+        yield {"name": harm + ": lost", "value": counts["lost"], "unit": "messages", "target": "none", "met": counts["lost"] == 0}
         yield {"name": harm + ": came again", "value": counts["duplicated"], "unit": "messages", "met": None}
 
 
@@ -151,7 +148,7 @@ def main():
         return 1 if os.environ.get("CI") == "true" else SKIPPED
     if given.json:
         figures.write(given.json, "./dev test --long -R storm_under_faults", begun,
-                      {"versions": {**versions.asked(given.build, "rabbitmq", "zookeeper"), "Storm": storm_version()}},
+                      {"versions": versions.asked(given.build, "rabbitmq", "zookeeper", "storm")},
                       list(figures_of(table)))
     wrong = {name: counts for name, counts in table.items() if counts["received"] != counts["sent"] or counts["damaged"]}
     require(not wrong, "messages are lost or damaged: %s" % wrong)
