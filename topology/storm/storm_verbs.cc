@@ -8,6 +8,7 @@
 #include <ostream>
 #include <set>
 #include <thread>
+#include <utility>
 
 #include <fmt/format.h>
 #include <fmt/ranges.h>
@@ -142,11 +143,21 @@ class TemporaryJar {
   fs::path folder_;
 };
 
-/// Shows the progress of sending on a terminal.
-void show_progress(std::size_t sent, std::size_t whole) {
-  if (isatty(STDERR_FILENO) == 0) return;
-  std::fprintf(stderr, "\rsent %zu of %zu KiB%s", sent / 1024, whole / 1024, sent == whole ? "\n" : "");
-}
+/// Shows the progress of sending: on a terminal in one line, elsewhere by a line for each quarter.
+class Progress {
+ public:
+  void operator()(std::size_t sent, std::size_t whole) {
+    const std::string text = fmt::format("sent {} of {} KiB", sent / 1024, whole / 1024);
+    if (isatty(STDERR_FILENO) != 0) {
+      std::fprintf(stderr, "\r%s%s", text.c_str(), sent == whole ? "\n" : "");
+    } else if (const auto quarter = 4 * sent / whole; quarter != std::exchange(quarter_, quarter) && quarter > 0) {
+      note(text);
+    }
+  }
+
+ private:
+  std::size_t quarter_ = 0;  ///< the last; less when it is sent again
+};
 
 std::string not_running(const TopologyDetails& details) {
   std::set<std::string> waiting;
@@ -401,7 +412,7 @@ int submit(const StormCall& call, const std::string& file, std::optional<int> wo
   }
   const TemporaryJar jar;
   tell_contents(write_jar(job, ShimFiles::find(), jar.path()));
-  nimbus.submit(job.name, job.conf, job.topology, jar.path(), show_progress);
+  nimbus.submit(job.name, job.conf, job.topology, jar.path(), Progress());
   if (limit.count() == 0) return print_done(call, fmt::format("{} was submitted to {}", job.name, nimbus.leader()));
   const TopologyDetails details =
       wait_until_running(nimbus, job.name, "submitted", limit, {}, [](const TopologyDetails&) { return true; });

@@ -1,7 +1,8 @@
 #!/usr/bin/python3
 """What `iotcloud-storm` refuses before anything reaches a cluster, and what it says when none answers.
 
-usage: refusals_test.py BUILD LIBRARY OLD_LIBRARY     (LIBRARY: of components.cc; OLD_LIBRARY: of another SDK)
+usage: refusals_test.py BUILD LIBRARY OLD_LIBRARY FOREIGN_LIBRARY
+       (LIBRARY: of components.cc; OLD_LIBRARY: of another SDK; FOREIGN_LIBRARY: of another C++ ABI)
 """
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from private_server import free_ports  # noqa: E402
 
 
 class Refusals(unittest.TestCase):
-    build = library = old = None
+    build = library = old = foreign = None
 
     def submit(self, library, spout="test.Numbers", more="", nimbus=("--nimbus", "127.0.0.1:1")):
         """The exit status and the error of a submission."""
@@ -41,6 +42,11 @@ class Refusals(unittest.TestCase):
         self.assertEqual(status, 1)
         self.assertRegex(said, "topology SDK")
 
+    def test_a_library_of_another_abi(self):
+        status, said = self.submit(self.foreign)
+        self.assertEqual(status, 1)
+        self.assertIn('%s was built for C++ ABI "another", this program for "' % self.foreign, said)
+
     def test_what_storm_lacks(self):
         status, said = self.submit(self.library, more="bolts:\n  b: {class: test.Count, scope: worker, inputs: {from: in, grouping: global}}\n")
         self.assertEqual(status, 1)
@@ -57,5 +63,5 @@ class Refusals(unittest.TestCase):
 
 
 if __name__ == "__main__":
-    Refusals.build, Refusals.library, Refusals.old = map(Path, sys.argv[1:4])
+    Refusals.build, Refusals.library, Refusals.old, Refusals.foreign = map(Path, sys.argv[1:5])
     unittest.main(argv=sys.argv[:1])

@@ -52,14 +52,18 @@ bool is_own(const std::string& component) {
   return component.starts_with("__");
 }
 
-/// How the text of an error begins that a C++ component reports while it runs; what it throws when it cannot be opened
-/// is of another class of Java.
-constexpr std::string_view of_running_component = "iotcloud.storm.ComponentError: ";
+/// The class of ours with which the text of an error begins that a C++ component or grouping reports while it runs; empty:
+/// it is of another class of Java, such as what a component throws when it cannot be opened.
+std::string_view class_of_running(std::string_view error) {
+  for (const std::string_view ours : {"iotcloud.storm.ComponentError: ", "iotcloud.storm.GroupingError: "}) {
+    if (error.starts_with(ours)) return ours;
+  }
+  return {};
+}
 
 /// The first line of a Java exception's text, without the class of ours, which tells nothing.
 std::string without_stack(const std::string& error) {
-  const std::string line = error.substr(0, error.find('\n'));
-  return line.starts_with(of_running_component) ? line.substr(of_running_component.size()) : line;
+  return error.substr(0, error.find('\n')).substr(class_of_running(error).size());
 }
 
 std::vector<ReportedError> errors_of(const std::map<std::string, std::vector<idl::ErrorInfo>>& by_component) {
@@ -67,7 +71,7 @@ std::vector<ReportedError> errors_of(const std::map<std::string, std::vector<idl
   for (const auto& [component, reported] : by_component) {
     for (const auto& each : reported)
       errors.push_back({component, without_stack(each.error), each.error_time_secs, each.host, each.port,
-                        each.error.starts_with(of_running_component)});
+                        !class_of_running(each.error).empty()});
   }
   std::sort(errors.begin(), errors.end(), [](const auto& a, const auto& b) { return a.at_s > b.at_s; });
   return errors;
@@ -109,6 +113,27 @@ idl::StormTopology read_topology(const std::string& bytes) {
   idl::StormTopology topology;
   topology.read(&protocol);
   return topology;
+}
+
+/// Sends a jar to where Nimbus keeps it. \return its name there
+std::string upload(Client& nimbus, const std::string& bytes,
+                   const std::function<void(std::size_t, std::size_t)>& progress) {
+  std::string location;
+  nimbus.beginFileUpload(location);
+  for (std::size_t sent = 0; sent < bytes.size();) {
+    const std::string chunk = bytes.substr(sent, chunk_size);
+    nimbus.uploadChunk(location, chunk);
+    sent += chunk.size();
+    if (progress) progress(sent, bytes.size());
+  }
+  nimbus.finishFileUpload(location);
+  return location;
+}
+
+bool lists(Client& nimbus, const std::string& name) {
+  std::vector<idl::TopologySummary> running_now;
+  nimbus.getTopologySummaries(running_now);
+  return std::any_of(running_now.begin(), running_now.end(), [&](const auto& one) { return one.name == name; });
 }
 
 /// Nimbus knows no topology of the name.
@@ -163,7 +188,8 @@ struct NimbusClient::Impl {
         why));
   }
 
-  /// Makes a call; once more to the leader of then, when the connection broke. \param make may be called twice
+  /// Makes a call; once more to the leader of then, when the connection broke, or when the Nimbus that answered leads
+  /// no longer. \param make may be called twice
   template <typename Call>
   auto ask(Call&& make) -> decltype(make(std::declval<Client&>())) {
     for (int tries = 1;; ++tries) {
@@ -179,7 +205,11 @@ struct NimbusClient::Impl {
       } catch (const idl::AlreadyAliveException& error) {
         throw NimbusError("a topology of this name runs already (" + error.msg + "); kill it first");
       } catch (const apache::thrift::TApplicationException& error) {
-        throw NimbusError(fmt::format("Nimbus {} failed: {}; its log says more", leader->to, error.what()));
+        // So answers a Nimbus that leads no longer, without saying so, and one that failed.
+        const std::string to = leader->to;
+        if (tries == 1) find_leader();
+        if (tries > 1 || leader->to == to)
+          throw NimbusError(fmt::format("Nimbus {} failed: {}; its log says more", to, error.what()));
       } catch (const TException& error) {
         const std::string to = leader ? leader->to : addresses.front();
         leader.reset();
@@ -189,11 +219,7 @@ struct NimbusClient::Impl {
   }
 
   bool lists(const std::string& name) {
-    return ask([&](Client& client) {
-      std::vector<idl::TopologySummary> running_now;
-      client.getTopologySummaries(running_now);
-      return std::any_of(running_now.begin(), running_now.end(), [&](const auto& one) { return one.name == name; });
-    });
+    return ask([&](Client& client) { return storm::lists(client, name); });
   }
 
   /// Makes a call about a topology. A Nimbus that has just begun to lead may say that a topology is not alive which it
@@ -209,21 +235,6 @@ struct NimbusClient::Impl {
       }
       std::this_thread::sleep_for(search_pause);
     }
-  }
-
-  std::string upload(const std::string& bytes, const std::function<void(std::size_t, std::size_t)>& progress) {
-    return ask([&](Client& client) {
-      std::string location;
-      client.beginFileUpload(location);
-      for (std::size_t sent = 0; sent < bytes.size();) {
-        const std::string chunk = bytes.substr(sent, chunk_size);
-        client.uploadChunk(location, chunk);
-        sent += chunk.size();
-        if (progress) progress(sent, bytes.size());
-      }
-      client.finishFileUpload(location);
-      return location;
-    });
   }
 };
 
@@ -247,18 +258,26 @@ void NimbusClient::submit(const std::string& name, const std::string& conf, cons
   if (impl_->lists(name))
     throw NimbusError("a topology \"" + name +
                       "\" runs already; kill it first, or give the file another topology.name");
-  const std::string location = impl_->upload(file_text(jar), progress);
+  const std::string bytes = file_text(jar);
   const idl::StormTopology graph = read_topology(topology);
   idl::SubmitOptions options;
   options.initial_status = idl::TopologyInitialStatus::ACTIVE;
-  bool asked = false;
+  bool asked = false;  // without an answer
   impl_->ask([&](Client& client) {
-    if (std::exchange(asked, true)) {
+    if (asked) {
       // Whether the first call, whose connection broke, was carried out.
-      if (impl_->lists(name)) return;
+      if (lists(client, name)) return;
       throw NimbusError("the connection to Nimbus broke while it took the topology over; submit it again");
     }
-    client.submitTopologyWithOpts(name, location, conf, graph, options);
+    // Another leader has not the jar that the first one got.
+    const std::string location = upload(client, bytes, progress);
+    asked = true;
+    try {
+      client.submitTopologyWithOpts(name, location, conf, graph, options);
+    } catch (const apache::thrift::TApplicationException&) {
+      asked = false;
+      throw;
+    }
   });
 }
 
