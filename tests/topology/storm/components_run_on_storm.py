@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""C++ components on a private Storm: a chain and every grouping over two workers, with exact counts; exceptions, ticks,
-answers from other threads; what `iotcloud-storm` says of them.
+"""C++ components on a private Storm: a chain and every grouping over two workers, with exact counts; exceptions, of groupings
+too, ticks, answers from other threads; what `iotcloud-storm` says of them.
 
 usage: components_run_on_storm.py BUILD LIBRARY     (BUILD: build/release; LIBRARY: the library of components.cc)
 """
@@ -16,7 +16,7 @@ GROUPINGS = {
     "shuffle": "grouping: shuffle", "fields": "grouping: fields, fields: [key]",
     "partial": "grouping: partial_key, fields: [key]", "all": "grouping: all", "global": "grouping: global",
     "none": "grouping: none", "near": "grouping: local_or_shuffle", "own": "grouping: custom, class: test.ByNumber",
-    "direct": "grouping: direct, stream: chosen"}
+    "direct": "grouping: direct, stream: chosen", "picky": "grouping: custom, class: test.Picky"}
 
 
 def yaml(library, out):
@@ -39,6 +39,7 @@ spouts:
 bolts:
   later: {{class: test.Later, inputs: {{from: numbers}}}}
   fussy: {{class: test.Fussy, inputs: {{from: later}}}}
+  choosy: {{class: test.Count, parallelism: {TASKS}, tick: 100ms, inputs: {{from: later, grouping: custom, class: test.Picky}}}}
   end: {{class: test.Count, tick: 1s, deadline: 590s, inputs: {{from: fussy, grouping: global}}}}
 {bolts}"""
 
@@ -55,18 +56,22 @@ class ComponentsOnStorm(StormCase):
         self.assertEqual(submitted.returncode, 0, submitted.stderr + self.logs())
         self.assertIn("libstdc++.so.6", submitted.stderr)
         self.assertRegex(submitted.stdout, r"counts runs: \d+ tasks in 2 workers")
+        self.assertRegex(submitted.stderr, r"sent \d+ of \d+ KiB")
         self.wait_for("all numbers are done", lambda: self.counts(out, "numbers"))
         (done,) = self.counts(out, "numbers").values()
+        # Each of these numbers is refused by a grouping of the spout, then by one of the bolt `later`, then by the bolt `fussy`.
         refused = COUNT // 100
-        self.assertEqual(done, {"done": COUNT, "failed": refused}, self.logs())
+        self.assertEqual(done, {"done": COUNT, "failed": 3 * refused}, self.logs())
 
         def total(component):
             return sum(number for task in self.counts(out, component).values() for word, number in task.items() if word[0] == "k")
-        # A failed tuple is emitted again, to the other bolts, too.
-        expected = {**dict.fromkeys(GROUPINGS, COUNT + refused), "all": TASKS * (COUNT + refused), "direct": COUNT, "end": COUNT}
+        # A failed tuple is emitted again, to the other bolts, too; one that a grouping refuses goes to nobody.
+        emitted = COUNT + 2 * refused
+        expected = {**dict.fromkeys(GROUPINGS, emitted), "all": TASKS * emitted, "direct": COUNT, "choosy": COUNT + refused,
+                    "end": COUNT}
         for component, count in expected.items():
             self.wait_for("%s has %d" % (component, count), lambda c=component, n=count: total(c) == n)
-        self.check_groupings(out, refused)
+        self.check_groupings(out, emitted)
         processes = {task["process"] for name in GROUPINGS for task in self.counts(out, name).values()}
         self.assertEqual(len(processes), 2)
         damaged = [task for name in expected for task in self.counts(out, name).values() if task["damaged"]]
@@ -91,7 +96,7 @@ class ComponentsOnStorm(StormCase):
         self.assertIn("packed", [row["topology"] for row in self.table("list")])
         self.ask("kill", "packed", "--wait", "0")
 
-    def check_groupings(self, out, refused):
+    def check_groupings(self, out, emitted):
         by_task = {name: self.counts(out, name) for name in GROUPINGS}
 
         def tasks_of_key(name, key):
@@ -104,25 +109,30 @@ class ComponentsOnStorm(StormCase):
         for name in ("shuffle", "none"):
             for words in by_task[name].values():
                 share = sum(words[key] for key in keys if key in words)
-                self.assertAlmostEqual(share, (COUNT + refused) / TASKS, delta=COUNT / TASKS / 4, msg=name)
-        for name in ("all", "own", "direct"):
+                self.assertAlmostEqual(share, emitted / TASKS, delta=COUNT / TASKS / 4, msg=name)
+        for name in ("all", "own", "direct", "picky"):
             self.assertEqual(len(by_task[name]), TASKS, name)
         for words in by_task["all"].values():
             self.assertEqual(words["numbers"], COUNT)
-        for name in ("own", "direct"):
+        for name in ("own", "direct", "picky"):
             for words in by_task[name].values():
                 self.assertEqual(words["numbers"], COUNT // TASKS, name)
 
     def check_answers(self):
         (topology,) = [row for row in self.table("list") if row["topology"] == "counts"]
         self.assertEqual((topology["state"], len(topology["workers"])), ("active", 2))
-        self.assertEqual((topology["spouts"], set(topology["bolts"])), (["numbers"], {"later", "fussy", "end", *GROUPINGS}))
-        self.wait_for("the component's error", lambda: self.table("errors", "counts"))
-        error = self.table("errors", "counts")[0]
-        self.assertEqual(error["component"], "fussy")
-        self.assertRegex(error["error"], r"execute\(\) threw: not number \d+00")
+        self.assertEqual((topology["spouts"], set(topology["bolts"])), (["numbers"], {"later", "fussy", "choosy", "end", *GROUPINGS}))
+        expected = {"fussy": r"execute\(\) threw: not number \d+00",
+                    "later": r"the grouping of later/default threw: nobody takes number \d+00",
+                    "numbers": r"the grouping of numbers/default threw: nobody takes number \d+00"}
+
+        def errors():
+            return {row["component"]: row["error"] for row in self.table("errors", "counts")}
+        self.wait_for("the components' errors", lambda: set(errors()) == set(expected))
+        for component, text in expected.items():
+            self.assertRegex(errors()[component], text)
         self.assertEqual({row["component"] for row in self.table("show", "counts")["executors"]},
-                         {"numbers", "later", "fussy", "end", *GROUPINGS})
+                         {"numbers", "later", "fussy", "choosy", "end", *GROUPINGS})
         again = self.run_program("submit", str(Path(self.place.name) / "counts.yaml"), "--nimbus", self.storm.url())
         self.assertEqual(again.returncode, 1)
         self.assertIn("runs already", again.stderr)

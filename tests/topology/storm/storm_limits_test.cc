@@ -170,7 +170,7 @@ TEST(StormClasses, AreThoseThatALibraryRegistersWithTheirStreams) {
   EXPECT_THAT(classes, HasSubstr(R"("test.Numbers":{"default":{"fields":["n","key","payload","text"],"direct":false},)"
                                  R"("chosen":{"fields":["n","key"],"direct":true}})"));
   EXPECT_THAT(classes, HasSubstr(R"("test.Count":{})"));
-  EXPECT_THAT(classes, HasSubstr(R"("grouping":{"test.ByNumber":{}})"));
+  EXPECT_THAT(classes, HasSubstr(R"("grouping":{"test.ByNumber":{},"test.Picky":{}})"));
 }
 
 TEST(StormClasses, ComeFromALibraryOnly) {

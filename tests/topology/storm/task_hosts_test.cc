@@ -5,7 +5,9 @@
 #include <cstring>
 #include <deque>
 #include <filesystem>
+#include <fstream>
 #include <functional>
+#include <iterator>
 #include <limits>
 #include <memory>
 #include <string>
@@ -13,6 +15,7 @@
 #include <vector>
 
 #include <gmock/gmock.h>
+#include <unistd.h>
 
 #include <iotcloud/rpc/http/http_client.h>
 #include <iotcloud/topology/storm/shim/bolt_host.h>
@@ -62,7 +65,7 @@ class Java final : public CommandSink {
     return value;
   }
   std::string command() {
-    static constexpr const char* answers[] = {"", "", "ack", "fail", "reset", "forget"};
+    static constexpr const char* answers[] = {"", "", "ack", "fail", "reset", "forget", "", "", "executes"};
     const auto kind = number<std::uint8_t>();
     if (kind == 1 || kind == 7) return emit(kind == 1);
     if (kind == 6) {
@@ -411,8 +414,8 @@ TEST(StormBoltHost, OfAnInputWithKeepLastOnlyTheNewestTuplesOfAKeyAreExecuted) {
     return task.java.taken();
   };
   // The newest x has the place of the one that it replaced.
-  EXPECT_THAT(next(), ElementsAre("emit stream 1: tick", "emit stream 1 @3: x", "ack 3"));
-  EXPECT_THAT(next(), ElementsAre("emit stream 1 @2: y", "ack 2"));
+  EXPECT_THAT(next(), ElementsAre("emit stream 1: tick", "executes 3", "emit stream 1 @3: x", "ack 3"));
+  EXPECT_THAT(next(), ElementsAre("executes 2", "emit stream 1 @2: y", "ack 2"));
   task.host->end_keeping();
   EXPECT_EQ(task.host->run_next(), -1);
 }
@@ -430,6 +433,14 @@ TEST(StormWorkerPages, AWorkerTakesTheNextPortWhenAnotherHasIt) {
   EXPECT_EQ(WorkerPages(rpc::PageSettings{}).address(), "");
 }
 
+/// Whether a thread of this process waits for something.
+bool sleeps(pid_t thread) {
+  std::ifstream file("/proc/self/task/" + std::to_string(thread) + "/stat");
+  std::string stat((std::istreambuf_iterator<char>(file)), {});
+  const auto name_end = stat.rfind(')');
+  return name_end != std::string::npos && stat.substr(name_end, 3) == ") S";
+}
+
 TEST(StormKeptTuples, AnInputThatKeepsAllWaitsForRoom) {
   KeptTuples kept({});
   Tuple tuple;
@@ -437,10 +448,14 @@ TEST(StormKeptTuples, AnInputThatKeepsAllWaitsForRoom) {
   source.execute(1, Values("x"));
   for (std::size_t i = 0; i < KeptTuples::capacity; ++i) EXPECT_FALSE(kept.put(tuple));
   std::atomic<bool> put{false};
+  std::atomic<pid_t> putter{0};
   std::thread other([&] {
+    putter = gettid();
     kept.put(tuple);
     put = true;
   });
+  // Until it sleeps, or did not wait.
+  while (!put && (putter == 0 || !sleeps(putter))) std::this_thread::yield();
   EXPECT_FALSE(put);
   EXPECT_TRUE(kept.next().tuple);
   other.join();
@@ -508,6 +523,16 @@ TEST(StormGroupingHost, ChoosesByAClassOfALibrary) {
   GroupingHost host(emitter_for("test.ByNumber"), "", 0, {5, 6, 7});
   std::int32_t chosen[3] = {};
   EXPECT_EQ(host.choose(bytes_of(Values("k", 4)), chosen), 1);
+  EXPECT_EQ(chosen[0], 6);
+}
+
+TEST(StormGroupingHost, LetsThroughWhatTheGroupingThrows) {
+  GroupingHost host(emitter_for("test.Picky"), "", 0, {5, 6, 7});
+  std::int32_t chosen[3] = {};
+  const auto bytes = bytes_of(Values("k", 100));
+  EXPECT_THAT([&] { host.choose(bytes, chosen); },
+              testing::ThrowsMessage<std::runtime_error>("nobody takes number 100"));
+  EXPECT_EQ(host.choose(bytes, chosen), 1);
   EXPECT_EQ(chosen[0], 6);
 }
 

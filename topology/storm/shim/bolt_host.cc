@@ -161,7 +161,11 @@ std::int64_t BoltHost::run_next() {
   const OwnCall own(*this);
   write_answers();
   if (next.tick) run_tick();
-  if (next.tuple) run(next.tuple, static_cast<const Received&>(*next.tuple.data()).input);
+  if (next.tuple) {
+    const auto& received = static_cast<const Received&>(*next.tuple.data());
+    commands_.executes(received.slot);
+    run(next.tuple, received.input);
+  }
   return next.end ? -1 : static_cast<std::int64_t>(commands_.take());
 }
 

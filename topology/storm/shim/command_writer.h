@@ -34,6 +34,7 @@ class CommandSink {
 ///     2 ack, 3 fail, 4 reset the time-out of, 5 forget     slot(4)
 ///     6 error    count(4) byte*
 ///     7 emit     stream(2) task(4) tracked(1) message id(8) values                               by a spout
+///     8 executes slot(4): what follows is of the execute() of this tuple, which Java did not call
 ///
 /// A slot is the number under which Java keeps a tuple until it is acked, failed or forgotten; a stream is its number
 /// in the task's description; values are as in value_format.h. A full buffer is applied before the call ends.
@@ -50,6 +51,7 @@ class CommandWriter {
   void fail(std::uint32_t slot) { about(3, slot); }
   void reset_timeout(std::uint32_t slot) { about(4, slot); }
   void forget(std::uint32_t slot) { about(5, slot); }
+  void executes(std::uint32_t slot) { about(8, slot); }
   void error(std::string_view text);
 
   /// The bytes that were written and not applied yet; from now on the buffer is Java's until the next call.

@@ -7,6 +7,9 @@ import java.util.HashMap;
 import java.util.List;
 import java.util.Map;
 import java.util.concurrent.ScheduledFuture;
+import java.util.concurrent.atomic.AtomicInteger;
+import java.util.concurrent.locks.Lock;
+import java.util.concurrent.locks.ReentrantLock;
 import org.apache.storm.Config;
 import org.apache.storm.Constants;
 import org.apache.storm.generated.GlobalStreamId;
@@ -17,14 +20,23 @@ import org.apache.storm.tuple.Tuple;
 import org.apache.storm.utils.TupleUtils;
 
 /**
- * A bolt of C++. Storm's executor, the thread of ticks and the thread of answers call it, each under its monitor, in which
- * it alone emits and answers. A bolt that keeps only the newest tuples of an input runs on a thread of its own instead.
+ * A bolt of C++. Storm's executor, a thread of ticks and the thread of answers call it, each with its lock, with which it
+ * alone emits and answers. The latter two do not wait for a bolt that executes a tuple: they say what is due, and the
+ * executor does it after that tuple. A bolt that keeps only the newest tuples of an input runs on a thread of its own
+ * instead.
  */
 public class CppBolt extends CppComponent implements IRichBolt {
   private static final long serialVersionUID = 1;
+  private static final int NONE = -1;
+  // What may be due.
+  private static final int TICK = 1;
+  private static final int ANSWERS = 2;
+  private transient ReentrantLock lock;
+  private transient AtomicInteger due;
   private transient OutputCollector collector;
   private transient NativeTask task;
   private transient Slots slots;
+  private transient int executed;
   private transient boolean flushes;
   private transient Map<Integer, List<Source>> sources;
   private transient boolean oneInput;
@@ -59,9 +71,22 @@ public class CppBolt extends CppComponent implements IRichBolt {
   }
 
   @Override
-  public synchronized void prepare(Map<String, Object> conf, TopologyContext context, OutputCollector out) {
+  public void prepare(Map<String, Object> conf, TopologyContext context, OutputCollector out) {
+    lock = new ReentrantLock();
+    lock.lock();
+    try {
+      prepareAlone(conf, context, out);
+    } finally {
+      lock.unlock();
+    }
+    runDue(TICK | ANSWERS);
+  }
+
+  private void prepareAlone(Map<String, Object> conf, TopologyContext context, OutputCollector out) {
+    due = new AtomicInteger();
     collector = out;
     slots = new Slots();
+    executed = NONE;
     sources = sources(context);
     oneInput = Description.inputs(context).size() == 1;
     Object batch = conf.get(Config.TOPOLOGY_PRODUCER_BATCH_SIZE);
@@ -74,7 +99,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
         throw new IllegalArgumentException(context.getThisComponentId() + " is a spout in C++, not a bolt");
       }
       Egress.add(Native.answering(task.handle), this::applyAnswers);
-      task.apply(Native.open(task.handle));
+      task.applyHere(Native.open(task.handle));
     } catch (RuntimeException | UnsatisfiedLinkError error) {
       collector.reportError(error);
       throw error;
@@ -86,7 +111,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
     }
     long micros = Native.ownTickMicros(task.handle);
     if (micros > 0) {
-      ticks = Timers.every(micros, this::tick);
+      ticks = Timers.every(micros, this::tickIsDue);
     }
   }
 
@@ -105,34 +130,75 @@ public class CppBolt extends CppComponent implements IRichBolt {
   @Override
   public void execute(Tuple tuple) {
     // The stream is at hand; the component has to be looked up.
-    if (Constants.SYSTEM_TICK_STREAM_ID.equals(tuple.getSourceStreamId()) && TupleUtils.isTick(tuple)) {
-      tick();
+    boolean isTick = Constants.SYSTEM_TICK_STREAM_ID.equals(tuple.getSourceStreamId()) && TupleUtils.isTick(tuple);
+    if (keeper != null) {
+      if (isTick) {
+        Native.requestTick(task.handle);
+      } else {
+        keep(tuple);
+      }
       return;
     }
+    lock.lock();
+    try {
+      if (isTick) {
+        task.applyHere(Native.tick(task.handle));
+      } else {
+        executeNow(tuple);
+      }
+    } finally {
+      lock.unlock();
+    }
+    runDue(TICK | ANSWERS);
+  }
+
+  private void executeNow(Tuple tuple) {
+    int size = write(tuple);
+    if (size == NONE) {
+      return;
+    }
+    byte[][] arrays = task.input.arrays();
+    int slot = slots.put(tuple);
+    executed = slot;
+    task.applyHere(Native.execute(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays));
+    executed = NONE;
+  }
+
+  /** Writes a tuple's values for C++; fails one that has a value which C++ cannot have, and returns NONE. */
+  private int write(Tuple tuple) {
+    try {
+      return task.input.write(tuple.getValues());
+    } catch (ValueWriter.NoValue error) {
+      String source = tuple.getSourceComponent() + "/" + tuple.getSourceStreamId();
+      collector.reportError(new ComponentError(error.of(source, tuple.getFields().get(error.place()))));
+      collector.fail(tuple);
+      return NONE;
+    }
+  }
+
+  private void keep(Tuple tuple) {
     int slot;
     int size;
     byte[][] arrays;
-    synchronized (this) {
-      try {
-        size = task.input.write(tuple.getValues());
-      } catch (ValueWriter.NoValue error) {
-        String source = tuple.getSourceComponent() + "/" + tuple.getSourceStreamId();
-        collector.reportError(new ComponentError(error.of(source, tuple.getFields().get(error.place()))));
-        collector.fail(tuple);
+    lock.lock();
+    try {
+      size = write(tuple);
+      if (size == NONE) {
         return;
       }
       arrays = task.input.arrays();
       slot = slots.put(tuple);
-      if (keeper == null) {
-        task.applyHere(Native.execute(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays));
-        return;
-      }
+    } finally {
+      lock.unlock();
     }
-    // Not in the monitor: it waits while too many tuples wait, and the keeper needs the monitor.
+    // Without the lock: it waits while too many tuples wait, and the keeper needs the lock.
     int replaced = Native.keep(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays);
     if (replaced >= 0) {
-      synchronized (this) {
+      lock.lock();
+      try {
         collector.ack(slots.take(replaced));
+      } finally {
+        lock.unlock();
       }
     }
   }
@@ -140,9 +206,13 @@ public class CppBolt extends CppComponent implements IRichBolt {
   /** The thread that lets a bolt execute the tuples that it kept. */
   private void runKept() {
     for (int size = Native.runNext(task.handle); size >= 0; size = Native.runNext(task.handle)) {
-      synchronized (this) {
-        task.apply(size);
+      lock.lock();
+      try {
+        task.applyHere(size);
+        executed = NONE;
         flush();
+      } finally {
+        lock.unlock();
       }
     }
   }
@@ -162,24 +232,50 @@ public class CppBolt extends CppComponent implements IRichBolt {
     return streams.get(0).input;
   }
 
-  private synchronized void tick() {
-    if (closed) {
-      return;
-    }
+  /** Called by the thread that says when. */
+  private void tickIsDue() {
     if (keeper != null) {
       Native.requestTick(task.handle);
       return;
     }
-    task.apply(Native.tick(task.handle));
-    flush();
+    if ((due.getAndUpdate(before -> before | TICK) & TICK) == 0) {
+      giveToOthers();
+    }
   }
 
-  private synchronized void applyAnswers() {
-    if (closed) {
-      return;
+  /** Called by the thread of answers, which does not run user code: that may take long. */
+  private void applyAnswers() {
+    due.getAndUpdate(before -> before | ANSWERS);
+    runDue(ANSWERS);
+    giveToOthers();
+  }
+
+  /** Lets another thread do what is due, unless one has the lock: that one does it when it is done with the tuple. */
+  private void giveToOthers() {
+    if (due.get() != 0 && !lock.isLocked()) {
+      Timers.run(() -> runDue(TICK | ANSWERS));
     }
-    task.apply(Native.takeAnswers(task.handle));
-    flush();
+  }
+
+  /** Does what is due of these. Whoever gives the lock back calls it, so nothing is left by one that finds it taken. */
+  private void runDue(int which) {
+    while ((due.get() & which) != 0 && lock.tryLock()) {
+      try {
+        int now = due.getAndUpdate(before -> before & ~which) & which;
+        if (closed) {
+          return;
+        }
+        if ((now & ANSWERS) != 0) {
+          task.applyHere(Native.takeAnswers(task.handle));
+        }
+        if ((now & TICK) != 0) {
+          task.applyHere(Native.tick(task.handle));
+        }
+        flush();
+      } finally {
+        lock.unlock();
+      }
+    }
   }
 
   /** What other threads than the executor's send would wait in their batch. */
@@ -203,21 +299,50 @@ public class CppBolt extends CppComponent implements IRichBolt {
         return;
       }
     }
-    synchronized (this) {
+    lock.lock();
+    try {
       closed = true;
-      task.apply(Native.close(task.handle));
+      task.applyHere(Native.close(task.handle));
+    } finally {
+      lock.unlock();
     }
   }
 
   /** Applies the component's commands. */
   private final class BoltCollector implements NativeTask.Collector {
     @Override
-    public Object monitor() {
-      return CppBolt.this;
+    public Lock lock() {
+      return lock;
+    }
+
+    @Override
+    public void executes(int slot) {
+      executed = slot;
     }
 
     @Override
     public void emit(String stream, int to, int[] anchors, int count, List<Object> values) {
+      try {
+        emitNow(stream, to, anchors, count, values);
+      } catch (GroupingError error) {
+        collector.reportError(new ComponentError(error.getMessage()));
+        for (int i = 0; i < count; i++) {
+          failNow(anchors[i]);
+        }
+        if (executed != NONE) {
+          failNow(executed);
+        }
+      }
+    }
+
+    /** Fails a tuple whatever C++, which does not know, answers later. */
+    private void failNow(int slot) {
+      if (slots.noteFailed(slot)) {
+        collector.fail(slots.get(slot));
+      }
+    }
+
+    private void emitNow(String stream, int to, int[] anchors, int count, List<Object> values) {
       if (count == 1) {
         emit(stream, to, slots.get(anchors[0]), values);
       } else if (count > 1) {
@@ -257,11 +382,20 @@ public class CppBolt extends CppComponent implements IRichBolt {
 
     @Override
     public void answer(byte command, int slot) {
+      boolean failed = slots.hasFailed(slot);
       if (NativeTask.isReset(command)) {
-        collector.resetTimeout(slots.get(slot));
+        if (!failed) {
+          collector.resetTimeout(slots.get(slot));
+        }
         return;
       }
+      if (slot == executed) {
+        executed = NONE;
+      }
       Tuple tuple = slots.take(slot);
+      if (failed) {
+        return;
+      }
       if (NativeTask.isAck(command)) {
         collector.ack(tuple);
       } else if (NativeTask.isFail(command)) {

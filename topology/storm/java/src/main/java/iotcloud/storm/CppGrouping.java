@@ -49,9 +49,20 @@ public class CppGrouping implements CustomStreamGrouping {
     Native.load(Description.folder(worker));
   }
 
+  /** Throws a GroupingError when C++ throws, and for a value that C++ cannot have. */
   @Override
   public List<Integer> chooseTasks(int task, List<Object> values) {
-    return emitters.computeIfAbsent(task, Emitter::new).choose(values);
+    try {
+      return emitters.computeIfAbsent(task, Emitter::new).choose(values);
+    } catch (ValueWriter.NoValue error) {
+      throw new GroupingError(error.of(source(), context.getComponentOutputFields(stream).get(error.place())));
+    } catch (RuntimeException error) {
+      throw new GroupingError("the grouping of " + source() + " threw: " + error.getMessage());
+    }
+  }
+
+  private String source() {
+    return stream.get_componentId() + "/" + stream.get_streamId();
   }
 
   /** The object of one emitting task. */

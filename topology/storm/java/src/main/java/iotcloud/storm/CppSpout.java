@@ -5,6 +5,8 @@ import java.util.Collections;
 import java.util.List;
 import java.util.Map;
 import java.util.Queue;
+import java.util.concurrent.locks.Lock;
+import java.util.concurrent.locks.ReentrantLock;
 import java.util.function.IntSupplier;
 import org.apache.storm.spout.SpoutOutputCollector;
 import org.apache.storm.task.TopologyContext;
@@ -12,7 +14,8 @@ import org.apache.storm.topology.IRichSpout;
 
 /**
  * A spout of C++. Only Storm's executor calls it, so nothing emits from another thread. Without ackers Storm calls ack()
- * inside of an emit; C++ hears of it after the call that emitted.
+ * inside of an emit, and a message fails there for which a grouping chooses no task; C++ hears of it after the call that
+ * emitted.
  */
 public class CppSpout extends CppComponent implements IRichSpout {
   private static final long serialVersionUID = 1;
@@ -106,18 +109,23 @@ public class CppSpout extends CppComponent implements IRichSpout {
   }
 
   private void run(IntSupplier call) {
+    runAlone(call);
+    runLate();
+  }
+
+  private void runAlone(IntSupplier call) {
     busy = true;
     try {
       task.applyHere(call.getAsInt());
     } finally {
       busy = false;
     }
-    runLate();
   }
 
+  /** What these calls leave waits for Storm's next call: a spout that emits again what cannot be sent would not end. */
   private void runLate() {
-    while (!late.isEmpty()) {
-      run(late.remove());
+    for (int left = late.size(); left > 0; left--) {
+      runAlone(late.remove());
     }
   }
 
@@ -132,25 +140,38 @@ public class CppSpout extends CppComponent implements IRichSpout {
   }
 
   /** Applies the component's commands. */
-  private static final class Emitter implements NativeTask.Collector {
+  private final class Emitter implements NativeTask.Collector {
     private final SpoutOutputCollector collector;
+    private final Lock lock = new ReentrantLock();
 
     Emitter(SpoutOutputCollector collector) {
       this.collector = collector;
     }
 
     @Override
-    public Object monitor() {
-      return this;
+    public Lock lock() {
+      return lock;
+    }
+
+    @Override
+    public void executes(int slot) {
+      throw new IllegalStateException("a spout executes a tuple");
     }
 
     @Override
     public void emit(String stream, int to, Long id, List<Object> values) {
       Sent sent = id == null ? null : new Sent(id);
-      if (to < 0) {
-        collector.emit(stream, values, sent);
-      } else {
-        collector.emitDirect(to, stream, values, sent);
+      try {
+        if (to < 0) {
+          collector.emit(stream, values, sent);
+        } else {
+          collector.emitDirect(to, stream, values, sent);
+        }
+      } catch (GroupingError error) {
+        collector.reportError(new ComponentError(error.getMessage()));
+        if (sent != null) {
+          fail(sent);
+        }
       }
     }
 

@@ -3,6 +3,9 @@ package iotcloud.storm;
 import java.io.File;
 import java.nio.ByteBuffer;
 import java.nio.charset.StandardCharsets;
+import java.util.Set;
+import org.apache.logging.log4j.LogManager;
+import org.apache.logging.log4j.core.LoggerContext;
 import org.slf4j.Logger;
 import org.slf4j.LoggerFactory;
 
@@ -34,15 +37,32 @@ final class Native {
     Egress.start();
   }
 
-  /** C++ writes only the lines that Storm's logger writes, whose level `storm set_log_level` may change. */
+  /**
+   * C++ writes the lines that one of Storm's loggers of its parts may write, whose levels `storm set_log_level` may change; the
+   * logger of each part drops what is not for it.
+   */
   private static void followLogLevel() {
-    Logger logger = LoggerFactory.getLogger(LOGGER);
-    int now = logger.isDebugEnabled() ? DEBUG : logger.isInfoEnabled() ? INFO : logger.isWarnEnabled() ? WARN
-        : logger.isErrorEnabled() ? ERROR : OFF;
+    int now = levelOf(LOGGER);
+    for (String name : loggersWithLevels()) {
+      if (name.startsWith(LOGGER + ".")) {
+        now = Math.min(now, levelOf(name));
+      }
+    }
     if (now != level) {
       level = now;
       setLogLevel(now);
     }
+  }
+
+  /** Storm's workers, which change these loggers, use this library, too. */
+  private static Set<String> loggersWithLevels() {
+    return ((LoggerContext) LogManager.getContext(false)).getConfiguration().getLoggers().keySet();
+  }
+
+  private static int levelOf(String name) {
+    Logger logger = LoggerFactory.getLogger(name);
+    return logger.isDebugEnabled() ? DEBUG : logger.isInfoEnabled() ? INFO : logger.isWarnEnabled() ? WARN
+        : logger.isErrorEnabled() ? ERROR : OFF;
   }
 
   /** Called by C++, on any thread. */

@@ -7,6 +7,7 @@ import java.util.ArrayDeque;
 import java.util.ArrayList;
 import java.util.List;
 import java.util.Queue;
+import java.util.concurrent.locks.Lock;
 import java.util.concurrent.locks.LockSupport;
 
 /**
@@ -22,6 +23,7 @@ final class NativeTask {
   private static final byte FORGET = 5;
   private static final byte ERROR = 6;
   private static final byte EMIT_OF_SPOUT = 7;
+  private static final byte EXECUTES = 8;
   // As in value_format.h.
   private static final byte NULL = 0;
   private static final byte NO = 1;
@@ -34,8 +36,11 @@ final class NativeTask {
 
   /** What commands are about. */
   interface Collector {
-    /** The object in whose monitor everything is emitted and answered. */
-    Object monitor();
+    /** Who emits and answers has it. */
+    Lock lock();
+
+    /** The commands that follow are of the execute() of this tuple. */
+    void executes(int slot);
 
     void emit(String stream, int task, int[] anchors, int count, List<Object> values);
 
@@ -101,16 +106,19 @@ final class NativeTask {
   }
 
   /**
-   * Applies the commands in the first bytes of the output, under the collector's monitor; C++ calls it, too, when the output
-   * is full.
+   * Applies the commands in the first bytes of the output, with the collector's lock; C++ calls it, too, when the output is
+   * full.
    */
   void apply(int size) {
-    synchronized (collector.monitor()) {
+    collector.lock().lock();
+    try {
       applyHere(size);
+    } finally {
+      collector.lock().unlock();
     }
   }
 
-  /** As apply(), by a thread that has the monitor, or that alone calls this task. */
+  /** As apply(), by a thread that has the lock, or that alone calls this task. */
   void applyHere(int size) {
     output.clear().limit(size);
     while (output.hasRemaining()) {
@@ -121,6 +129,9 @@ final class NativeTask {
           break;
         case EMIT_OF_SPOUT:
           emitOfSpout();
+          break;
+        case EXECUTES:
+          collector.executes(output.getInt());
           break;
         case ERROR:
           collector.reportError(new ComponentError(text()));

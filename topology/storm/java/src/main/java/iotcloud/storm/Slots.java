@@ -1,6 +1,8 @@
 package iotcloud.storm;
 
 import java.util.Arrays;
+import java.util.HashSet;
+import java.util.Set;
 import org.apache.storm.tuple.Tuple;
 
 /** The tuples that a bolt of C++ has not answered yet, by the numbers under which it knows them. */
@@ -8,6 +10,7 @@ final class Slots {
   private Tuple[] tuples = new Tuple[64];
   private int[] free = new int[64];
   private int freeCount;
+  private final Set<Integer> failed = new HashSet<>();
 
   Slots() {
     addFree(0);
@@ -35,8 +38,20 @@ final class Slots {
     return tuples[slot];
   }
 
+  /** Notes that Storm was told that the tuple failed, before C++ answers it. Returns false when that is known. */
+  boolean noteFailed(int slot) {
+    return failed.add(slot);
+  }
+
+  boolean hasFailed(int slot) {
+    return !failed.isEmpty() && failed.contains(slot);
+  }
+
   Tuple take(int slot) {
     Tuple tuple = tuples[slot];
+    if (!failed.isEmpty()) {
+      failed.remove(slot);
+    }
     tuples[slot] = null;
     free[freeCount++] = slot;
     return tuple;
