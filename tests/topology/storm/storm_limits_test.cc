@@ -111,6 +111,21 @@ const std::vector<Row> rows{
      "t.yaml:2:11: brokers.rabbitmq", "password_file"},
     {"PasswordOfTheRegistry", "topology.name: t\nregistry: \"zookeeper://u:p@h\"\nspouts:\n  in: {class: Numbers}\n",
      "t.yaml:2:1: registry", "password_file"},
+    {"PasswordInStormsConf",
+     "engine: {storm: {conf: {topology.x: '[\"http://h/a\", \"redis://u:p@h\"]'}}}\n" + head +
+         "  b: {class: Pass, inputs: {from: in}}\n",
+     "t.yaml:1:25: engine.storm.conf.topology.x", "Storm's credentials"},
+    {"KeyOfStormForAPassword",
+     "engine: {storm: {conf: {topology.db.Password: p}}}\n" + head + "  b: {class: Pass, inputs: {from: in}}\n",
+     "t.yaml:1:25: engine.storm.conf.topology.db.Password", "Storm's credentials"},
+    {"PasswordAmongTheWorkersOptions",
+     "engine: {storm: {worker_options: \"-Xmx1g -Djavax.net.ssl.keyStorePassword=p\"}}\n" + head +
+         "  b: {class: Pass, inputs: {from: in}}\n",
+     "t.yaml:1:18: engine.storm.worker_options", "Storm's credentials"},
+    {"UrlWithPasswordAmongTheWorkersOptions",
+     "engine: {storm: {worker_options: \"-Dproxy=http://u:p@h:80 -Xmx1g\"}}\n" + head +
+         "  b: {class: Pass, inputs: {from: in}}\n",
+     "t.yaml:1:18: engine.storm.worker_options", "Storm's credentials"},
     {"LongWindow", "runtime: {message_timeout: 10s}\n" + head + "  b: {class: TenSeconds, inputs: {from: in}}\n",
      "t.yaml:6:7: bolts.b.class", "set \"runtime.message_timeout\" to twice 10s"},
     {"KeyOfStormThatIsSaidElsewhere",
@@ -134,7 +149,9 @@ TEST(StormLimitsTest, AllErrorsOfAFileAreSaidTogether) {
 TEST(StormLimitsTest, WhatStormCanDoIsNotRefused) {
   EXPECT_THAT(
       notes_on(
-          "runtime: {message_timeout: 11s}\nengine: {storm: {shared_folders: [/mnt/s]}}\n" + head +
+          "runtime: {message_timeout: 11s}\nengine: {storm: {shared_folders: [/mnt/s], worker_options: "
+          "\"-Dpassword_file=/etc/p -Dproxy=http://h:80 -Dmail=a@b\", conf: {topology.password.file: /etc/p}}}\n" +
+          head +
           "  b: {class: Pass, scope: worker, deadline: 1s, tick: 100ms, conf: {state.store: \"rocksdb:///mnt/s/x\"}, "
           "inputs: {from: in, grouping: fields, fields: [driverID]}}\n"
           "  c: {class: TenSeconds, inputs: [{from: in, grouping: partial_key, fields: [n, driverID]}, {from: b}]}\n"),
@@ -159,6 +176,9 @@ TEST(StormConf, HasWhatTheFileSays) {
   for (const char* part :
        {"\"topology.workers\":3", "\"topology.acker.executors\":0", "\"topology.max.spout.pending\":7",
         "\"topology.executor.receive.buffer.size\":64", "\"topology.message.timeout.secs\":2",
+        "\"topology.spout.wait.strategy\":\"org.apache.storm.policy.WaitStrategyPark\"",
+        "\"topology.bolt.wait.strategy\":\"org.apache.storm.policy.WaitStrategyPark\"",
+        "\"topology.backpressure.wait.strategy\":\"org.apache.storm.policy.WaitStrategyPark\"",
         "\"topology.bolt.wait.park.microsec\":5000", "\"topology.debug\":true", "\"topology.kryo.register\":[\"a.B\"]",
         "\"topology.x\":\"text\"", "\"-XX:ErrorFile=artifacts/hs_err_%p.log -Xmx1g\""}) {
     EXPECT_THAT(conf, HasSubstr(part));

@@ -1,6 +1,8 @@
 #include <algorithm>
+#include <cctype>
 #include <chrono>
 #include <set>
+#include <sstream>
 #include <utility>
 
 #include <fmt/format.h>
@@ -155,14 +157,42 @@ void check_state(Check& check) {
   }
 }
 
+/// Whether a text has a URL with a password.
+bool has_password(const std::string& text) {
+  for (auto begin = text.find("://"); begin != std::string::npos; begin = text.find("://", begin + 3)) {
+    const std::string word = text.substr(begin + 3, text.find_first_of(" \t\n", begin) - begin - 3);
+    const auto at = word.find('@');
+    if (at != std::string::npos && word.substr(0, at).find(':') != std::string::npos) return true;
+  }
+  return false;
+}
+
+/// Whether a setting of this name has a secret, and not the place of one.
+bool names_secret(std::string name) {
+  std::transform(name.begin(), name.end(), name.begin(), [](unsigned char c) { return std::tolower(c); });
+  const auto has = [&](const char* word) { return name.find(word) != std::string::npos; };
+  return (has("password") || has("passwd") || has("secret")) && !name.ends_with("file") && !name.ends_with("path");
+}
+
+/// What goes word for word into Storm's configuration of the topology, which all users of the cluster can read.
+void check_secrets_of_storm(const TopologyDefinition& definition) {
+  const StormSettings& storm = definition.storm;
+  const auto section = [&] { return YamlSection(definition.root).require_section("engine").require_section("storm"); };
+  const std::string problem = "the password would be in Storm's configuration, which all users of the cluster can read";
+  const std::string remedy = "put it into a file on the machines of the cluster, or among Storm's credentials";
+  for (const auto& [key, value] : storm.conf) {
+    if (names_secret(key) || has_password(value)) section().require_section("conf").refuse(key, problem, remedy);
+  }
+  std::istringstream options(storm.worker_options);
+  for (std::string word; options >> word;) {
+    if (!names_secret(word.substr(0, word.find('='))) && !has_password(word)) continue;
+    section().refuse("worker_options", problem, remedy);
+    return;
+  }
+}
+
 /// Passwords in what every user of the cluster can read: the jar, and Storm's configuration of the topology.
 void check_secrets(Check& check) {
-  const auto has_password = [](const std::string& url) {
-    const auto begin = url.find("://");
-    const auto at = url.find('@', begin == std::string::npos ? 0 : begin);
-    return begin != std::string::npos && at != std::string::npos &&
-           url.substr(begin + 3, at - begin - 3).find(':') != std::string::npos;
-  };
   const std::string problem = "the password would be in the topology's jar, which all users of the cluster can read";
   const std::string remedy = "put it into a file on the machines of the cluster (\"password_file\")";
   for (const auto& [name, broker] : check.definition.brokers) {
@@ -179,6 +209,7 @@ void check_secrets(Check& check) {
   for (const auto* group : {&check.definition.spouts, &check.definition.bolts}) {
     for (const auto& component : *group) check_conf(component.section, component.conf);
   }
+  check_secrets_of_storm(check.definition);
 }
 
 /// Storm's time-out must be longer than bolts keep tuples, or every one of them fails.
