@@ -12,6 +12,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
 from private_server import free_ports  # noqa: E402
+from false_nimbus import FalseNimbus  # noqa: E402
 from storm_case import StormCase, run  # noqa: E402
 
 WAITS = "spout_wait: 5ms, bolt_wait: 5ms, back_pressure_wait: 5ms"
@@ -179,6 +180,11 @@ class VerbsOnStorm(StormCase):
     def check_nimbus(self):
         dead = "127.0.0.1:%d" % free_ports(1)[0]
         self.ask("list", "--nimbus", dead)  # and then the real one, which ask() adds
+        with FalseNimbus() as other:
+            other.leads = self.storm.url()
+            said = self.run_program("list", "--nimbus", other.address)
+            self.assertIn("steady", said.stdout)
+            self.assertEqual(other.calls, ["getLeader"])
         self.storm.kill("nimbus")
         refused = self.run_program("list", "--nimbus", dead + "," + self.storm.url(), "--patience", "0")
         self.assertEqual(refused.returncode, 1)
