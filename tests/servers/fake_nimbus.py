@@ -5,6 +5,7 @@ import struct
 import threading
 
 BOOL, DOUBLE, I32, I64, STRING, STRUCT, MAP, SET, LIST = 2, 4, 8, 10, 11, 12, 13, 14, 15
+REPLY, EXCEPTION, INTERNAL_ERROR = 0x80010002, 0x80010003, 6
 FORMATS = {BOOL: ">?", 3: ">b", DOUBLE: ">d", 6: ">h", I32: ">i", I64: ">q"}
 
 
@@ -64,14 +65,21 @@ def error_info(text, at_s, host, port):
     return {1: (STRING, text), 2: (I32, at_s), 3: (STRING, host), 4: (I32, port)}
 
 
-class FakeNimbus:
-    """Topologies, each a dict: name, status, workers; executors, of (component, first task, last task, host, port, uptime in
-    seconds, whether it has told of itself); errors, of (component, text, seconds since 1970, host, port); spouts and bolts: what
-    each did, by name."""
+class Fails(Exception):
+    """As a Nimbus answers whose code threw: that of one that does not lead says no more, either."""
 
-    def __init__(self, *topologies):
+
+class FakeNimbus:
+    """Listens on a free port of loopback from its construction until stop(), or the end of the `with` block.
+    Topologies, each a dict: name, status, workers; executors, of (component, first task, last task, host, port, uptime in
+    seconds, whether it has told of itself); errors, of (component, text, seconds since 1970, host, port); spouts and bolts: what
+    each did, by name. `leads`: HOST:PORT that it names as the leader, its own address at first. `version`: of Storm. `calls`: the
+    names of all calls that it got. `told`: (method, arguments) of the orders. `uploaded`: how many bytes of jars it got.
+    `failing`: a call's name, and what is done before it fails."""
+
+    def __init__(self, *topologies, version="2.8.3"):
         self.topologies = {topology["name"]: topology for topology in topologies}
-        self.told = []  # (method, arguments) of the orders
+        self.version, self.calls, self.told, self.uploaded, self.failing = version, [], [], 0, {}
         nimbus = self
 
         class Handler(socketserver.BaseRequestHandler):
@@ -81,44 +89,67 @@ class FakeNimbus:
                     call.unpack(">I")
                     method, (number,) = call.text(), call.unpack(">i")
                     arguments = call.value(STRUCT)
-                    answer = (struct.pack(">Ii", 0x80010002, len(method)) + method + struct.pack(">i", number) +
-                              packed(STRUCT, nimbus.answer(method.decode(), arguments)))
+                    answer = nimbus.reply(method, number, arguments)
                     self.request.sendall(struct.pack(">i", len(answer)) + answer)
 
         class Server(socketserver.ThreadingTCPServer):
             allow_reuse_address = daemon_threads = True
 
         self.server = Server(("127.0.0.1", 0), Handler)
+        self.address = self.leads = "127.0.0.1:%d" % self.server.server_address[1]
         threading.Thread(target=self.server.serve_forever, daemon=True).start()
 
-    def url(self):
-        return "127.0.0.1:%d" % self.server.server_address[1]
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
 
     def stop(self):
         self.server.shutdown()
         self.server.server_close()
 
+    def reply(self, method, number, arguments):
+        """The message that answers a call."""
+        try:
+            kind, fields = REPLY, self.answer(method.decode(), arguments)
+        except Fails as error:
+            kind, fields = EXCEPTION, {1: (STRING, str(error)), 2: (I32, INTERNAL_ERROR)}
+        return struct.pack(">Ii", kind, len(method)) + method + struct.pack(">i", number) + packed(STRUCT, fields)
+
     def answer(self, method, arguments):
         """The fields of a call's result."""
+        self.calls.append(method)
+        if method in self.failing:
+            self.failing[method]()
+            raise Fails("Internal error processing " + method)
         if asked := getattr(self, "_" + method, None):
             return asked(arguments)
         self.told.append((method, arguments))
         name = arguments.get(1, b"").decode()
         if method == "submitTopologyWithOpts":
+            if arguments[2].decode() != self.jar():
+                raise Fails("the jar is not here")
             self.submitted(name)
+        elif method == "uploadChunk":
+            self.uploaded += len(arguments[2])
         elif method == "killTopologyWithOpts":
             self.topologies.pop(name)
         elif method in ("activate", "deactivate"):
             self.topologies[name]["status"] = "ACTIVE" if method == "activate" else "INACTIVE"
-        return {0: (STRING, "uploaded.jar")} if method == "beginFileUpload" else {}
+        return {0: (STRING, self.jar())} if method == "beginFileUpload" else {}
+
+    def jar(self):
+        """Where what is sent lies."""
+        return "/inbox/of-%s.jar" % self.address
 
     def submitted(self, name):
         """A topology runs as soon as it is submitted; a test may say otherwise."""
         self.topologies[name] = topology(name)
 
     def _getLeader(self, _):
-        return {0: (STRUCT, {1: (STRING, "127.0.0.1"), 2: (I32, self.server.server_address[1]), 4: (BOOL, True),
-                             5: (STRING, "2.8.3")})}
+        host, port = self.leads.split(":")
+        return {0: (STRUCT, {1: (STRING, host), 2: (I32, int(port)), 4: (BOOL, True), 5: (STRING, self.version)})}
 
     def _getTopologySummaries(self, _):
         return {0: (LIST, (STRUCT, [

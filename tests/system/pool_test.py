@@ -229,14 +229,11 @@ def check_kill(pools):
 
 def check_storms_list(pools):
     """Nimbus is asked in place of the master."""
-    nimbus = FakeNimbus(storms_topology("words"))
-    try:
-        words = ("topology", "list", "--engine", "storm", "--nimbus", nimbus.url())
+    with FakeNimbus(storms_topology("words")) as nimbus:
+        words = ("topology", "list", "--engine", "storm", "--nimbus", nimbus.address)
         require([row["topology"] for row in pools.json(*words)] == ["words"], "Storm's topologies")
         require("words" in pools.cli(*words), "Storm's topologies in a table")
         require(pools.json("topology", "list") == [], "ours")
-    finally:
-        nimbus.stop()
 
 
 def check_manifest(pools):

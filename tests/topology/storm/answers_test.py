@@ -40,7 +40,7 @@ class Answers(unittest.TestCase):
 
     def on_storm(self, *words):
         """What a verb prints about Storm."""
-        done = self.run_cli(*words, "--engine", "storm", "--nimbus", self.nimbus.url())
+        done = self.run_cli(*words, "--engine", "storm", "--nimbus", self.nimbus.address)
         self.assertEqual((done.returncode, done.stderr), (0, ""))
         return done.stdout
 
@@ -94,7 +94,7 @@ class Answers(unittest.TestCase):
 
     def test_watch_shows_it_again_and_again(self):
         process = subprocess.Popen([self.build / "bin" / "iotcloud", "topology", "metrics", "words", "--watch", "0.1", "-o", "json",
-                                    "--engine", "storm", "--nimbus", self.nimbus.url()], text=True, stdout=subprocess.PIPE)
+                                    "--engine", "storm", "--nimbus", self.nimbus.address], text=True, stdout=subprocess.PIPE)
         with process:
             self.assertEqual([json.loads(process.stdout.readline())["topology"] for _ in range(2)], ["words"] * 2)
             process.send_signal(2)
@@ -121,7 +121,7 @@ class Answers(unittest.TestCase):
             {"component": "count", "worker": "lab2:6701", "time_ms": 7000, "error": "not number 100"}])
 
     def test_a_topology_that_is_not_there_is_refused_with_those_that_are(self):
-        done = self.run_cli("show", "letters", "--engine", "storm", "--nimbus", self.nimbus.url())
+        done = self.run_cli("show", "letters", "--engine", "storm", "--nimbus", self.nimbus.address)
         self.assertEqual(done.returncode, 1)
         self.assertIn('no topology "letters" runs; there are words', done.stderr)
 
@@ -162,7 +162,7 @@ class Answers(unittest.TestCase):
             self.nimbus.topologies[name] = topology(name, errors=list(errors), executors=[
                 ("in", 1, 2, "lab1", 6700, 1, reported), ("count", 3, 4, "lab2", 6701, 1, True)])
         self.nimbus.submitted = submitted
-        return self.run_cli("submit", self.file(ON_STORM), "--nimbus", self.nimbus.url(), "--wait", "3", "-o", "json")
+        return self.run_cli("submit", self.file(ON_STORM), "--nimbus", self.nimbus.address, "--wait", "3", "-o", "json")
 
     def test_a_submission_is_answered_when_all_tasks_run(self):
         done = self.submit()

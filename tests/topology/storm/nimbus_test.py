@@ -14,7 +14,8 @@ import unittest
 import zipfile
 from pathlib import Path
 
-from false_nimbus import FalseNimbus
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
+from fake_nimbus import FakeNimbus, topology  # noqa: E402
 
 
 class Nimbuses(unittest.TestCase):
@@ -43,16 +44,16 @@ class Nimbuses(unittest.TestCase):
         return self.run_program("submit", self.file, "--limit", "0", "--nimbus", nimbus.address)
 
     def test_the_leader_that_a_nimbus_names_is_asked(self):
-        with FalseNimbus() as first, FalseNimbus() as leader:
+        with FakeNimbus() as first, FakeNimbus() as leader:
             first.leads = leader.address
-            leader.topologies.append("there")
+            leader.topologies["there"] = topology("there")
             done = self.run_program("list", "--nimbus", first.address)
             self.assertEqual(done.returncode, 0, done.stderr)
             self.assertIn("there", done.stdout)
             self.assertEqual((first.calls, leader.calls), (["getLeader"], ["getTopologySummaries"]))
 
     def test_an_order_goes_to_the_next_leader_when_the_first_leads_no_longer(self):
-        with FalseNimbus() as first, FalseNimbus() as second:
+        with FakeNimbus() as first, FakeNimbus() as second:
             def loses():
                 first.leads = second.address
             first.failing["activate"] = loses
@@ -61,7 +62,7 @@ class Nimbuses(unittest.TestCase):
             self.assertEqual((first.calls, second.calls), (["getLeader", "activate", "getLeader"], ["activate"]))
 
     def test_a_jar_is_sent_to_the_leader_that_takes_the_topology(self):
-        with FalseNimbus() as first, FalseNimbus() as second:
+        with FakeNimbus() as first, FakeNimbus() as second:
             def loses():
                 first.leads = second.address
             first.failing["submitTopologyWithOpts"] = loses
@@ -73,7 +74,7 @@ class Nimbuses(unittest.TestCase):
             self.assertEqual([nimbus.calls.count("submitTopologyWithOpts") for nimbus in (first, second)], [1, 1])
 
     def test_an_error_of_a_nimbus_that_leads_is_told(self):
-        with FalseNimbus() as nimbus:
+        with FakeNimbus() as nimbus:
             nimbus.failing["activate"] = lambda: None
             done = self.run_program("activate", "t", "--nimbus", nimbus.address)
             self.assertEqual(done.returncode, 1)
@@ -81,7 +82,7 @@ class Nimbuses(unittest.TestCase):
             self.assertEqual(nimbus.calls.count("activate"), 1)
 
     def test_two_that_name_each_other_are_asked_once_each(self):
-        with FalseNimbus() as first, FalseNimbus() as second:
+        with FakeNimbus() as first, FakeNimbus() as second:
             def loses():
                 first.leads = second.address
             first.failing["activate"], second.failing["activate"] = loses, lambda: None
@@ -91,7 +92,7 @@ class Nimbuses(unittest.TestCase):
             self.assertEqual((first.calls.count("activate"), second.calls.count("activate")), (1, 1))
 
     def test_each_quarter_of_a_jar_is_told_where_no_terminal_is(self):
-        with FalseNimbus() as nimbus:
+        with FakeNimbus() as nimbus:
             told = re.findall(r"^iotcloud-storm: sent (\d+) of (\d+) KiB$", self.submit(nimbus).stderr, re.M)
             self.assertEqual(len(told), 4)
             self.assertEqual(int(told[-1][0]), nimbus.uploaded // 1024)
@@ -99,7 +100,7 @@ class Nimbuses(unittest.TestCase):
                 self.assertGreaterEqual(int(sent), int(whole) * number // 4)
 
     def test_a_version_of_storm_that_was_not_tested_is_noted(self):
-        with FalseNimbus("2.7.1") as other, FalseNimbus("2.8.3") as tested:
+        with FakeNimbus(version="2.7.1") as other, FakeNimbus() as tested:
             said = "iotcloud-storm: Nimbus %s is of Storm 2.7.1; this was tested with 2.8.3" % other.address
             self.assertIn(said, self.submit(other).stderr)
             self.assertNotIn("this was tested with", self.submit(tested).stderr)

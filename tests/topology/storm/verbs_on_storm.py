@@ -11,8 +11,8 @@ import urllib.request
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
+from fake_nimbus import FakeNimbus  # noqa: E402
 from private_server import free_ports  # noqa: E402
-from false_nimbus import FalseNimbus  # noqa: E402
 from storm_case import StormCase, run  # noqa: E402
 
 WAITS = "spout_wait: 5ms, bolt_wait: 5ms, back_pressure_wait: 5ms"
@@ -180,7 +180,7 @@ class VerbsOnStorm(StormCase):
     def check_nimbus(self):
         dead = "127.0.0.1:%d" % free_ports(1)[0]
         self.ask("list", "--nimbus", dead)  # and then the real one, which ask() adds
-        with FalseNimbus() as other:
+        with FakeNimbus() as other:
             other.leads = self.storm.url()
             said = self.run_program("list", "--nimbus", other.address)
             self.assertIn("steady", said.stdout)
