@@ -2,7 +2,10 @@
 """State in Redis, while workers come and go, are killed (kill -9) and frozen past their session at random, and Redis is
 killed and started again: a bolt counts the messages of each driver, and every count must be exact.
 
-usage: state_test.py BUILD_DIR [--seconds N] [--seed N] [--json FILE]      (./dev bench state builds, and runs this file)
+usage: state_test.py BUILD_DIR [--seconds N] [--seed N] [--broker kafka] [--json FILE]
+       (./dev bench state builds, and runs this file)
+
+On Kafka the drivers of a gateway share topics of four partitions, so that what moves between workers are partitions.
 
 A message that comes again is recognised by its number, of which the bolt keeps a record in the same state
 (counting_bolt.cc). Prints the seed; `--seed N` repeats the choices. `./dev bench state` writes the counts as figures
@@ -107,12 +110,15 @@ def main():
     parser.add_argument("build")
     parser.add_argument("--seconds", type=int, default=20)
     parser.add_argument("--seed", type=int, default=int(time.time()))
+    parser.add_argument("--broker", choices=("rabbitmq", "kafka"), default="rabbitmq")
     parser.add_argument("--json", type=Path, help="writes the counts to this file")
     given = parser.parse_args()
     begun = figures.begin(ROOT)
     choose = random.Random(given.seed)
     print(f"seed {given.seed}", flush=True)
-    with FaultCluster(given.build, "state", library="counting_bolt.so") as cluster:
+    on_kafka = given.broker == "kafka"
+    name = "state-kafka" if on_kafka else "state"
+    with FaultCluster(given.build, name, library="counting_bolt.so", broker=given.broker) as cluster:
         url = cluster.server("redis")
         cluster.bolt = BOLT % url
         cluster.start(gateways=2)
@@ -143,8 +149,9 @@ def main():
     print(", ".join(f"{number} x {kind}" for kind, number in faults.done.items()))
     print(f"{DRIVERS} drivers, {count} messages each; counted: {found}; {again} came again and were recognised", flush=True)
     if given.json:
-        figures.write(given.json, f"./dev bench state --seconds {given.seconds} --seed {given.seed}", begun,
-                      {"versions": versions.asked(given.build, "redis", "rabbitmq", "zookeeper")},
+        command = f"./dev bench state --seconds {given.seconds} --seed {given.seed}" + (" --broker kafka" if on_kafka else "")
+        figures.write(given.json, command, begun,
+                      {"versions": versions.asked(given.build, "redis", given.broker, "zookeeper")},
                       list(figures_of(faults, count, found, again, totals)))
     if found != [count] * DRIVERS:
         raise SystemExit("a count is not exact")
