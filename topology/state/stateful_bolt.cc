@@ -42,7 +42,9 @@ void read_keys(ConfCheck& check, const std::string& key, const std::string& text
 const std::vector<ConfOption<StateOptions>>& declared() {
   static const std::vector<ConfOption<StateOptions>> all{
       {{"state.store", "`memory://NAME`, `rocksdb:///PATH`, `redis://HOST:PORT` or `rediss://`",
-        "the library's; one of both must say it", "where checkpoints go"},
+        "the library's; one of both must say it",
+        "where checkpoints go; of several systems (registries) that use one Redis each adds `?prefix=NAME`, a name of "
+        "its own"},
        read_store},
       {{"state.checkpoint", "duration, 1 ms at least",
         "the library's, else `" + config::internal::duration_text(StateOptions{}.checkpoint) + "`",

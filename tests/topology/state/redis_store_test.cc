@@ -80,6 +80,29 @@ TEST_F(RedisState, AnotherComponentOrTopologyHasOtherKeysAlsoWithAColonInItsName
   EXPECT_EQ(other.find("key"), nullptr);
 }
 
+TEST_F(RedisState, TwoSystemsWithOneTopologysNameHaveTheirOwnStateUnderPrefixes) {
+  const StateOwner owner{"robots", "count", 0, 1};
+  KeyValueState none(make_state_store(redis().url()), owner);
+  KeyValueState lab(make_state_store(redis().url() + "?prefix=lab"), owner);
+  KeyValueState hall(make_state_store(redis().url() + "?prefix=hall"), owner);
+  none.put("driver", "1");
+  lab.put("driver", "2");
+  EXPECT_EQ(hall.find("driver"), nullptr);
+  none.checkpoint();
+  lab.checkpoint();
+  KeyValueState next(make_state_store(redis().url() + "?prefix=lab"), owner);
+  EXPECT_EQ(next.get("driver"), "2");
+}
+
+TEST(APrefixOfKeysInRedis, HasOnlyCharactersThatEndNoPartOfAKey) {
+  try {
+    make_state_store("redis://127.0.0.1:6379?prefix=lab:iotcloud");
+    FAIL() << "it was not refused";
+  } catch (const StateError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("the prefix \"lab:iotcloud\" has more than letters"));
+  }
+}
+
 TEST_F(RedisState, ATaskWhoseKeyAnotherOneHasClaimedWritesNothing) {
   KeyValueState lost = task(), next = task();
   lost.put("driver", "1");

@@ -56,15 +56,24 @@ void read_option(RedisAddress& address, std::string_view name, std::string_view 
                                                                {"password_variable", &address.password_variable},
                                                                {"ca_file", &address.ca_file},
                                                                {"certificate_file", &address.certificate_file},
-                                                               {"key_file", &address.key_file}};
+                                                               {"key_file", &address.key_file},
+                                                               {"prefix", &address.prefix}};
   for (const auto& [known, place] : options) {
     if (name != known) continue;
     *place = value;
     return;
   }
   throw unusable(address.text, "it has no option \"" + std::string(name) +
-                                   "\"; there are password_file, password_variable, ca_file, certificate_file and "
-                                   "key_file");
+                                   "\"; there are password_file, password_variable, ca_file, certificate_file, "
+                                   "key_file and prefix");
+}
+
+/// Refuses a prefix that could be mistaken for the beginning of another one's keys.
+void check_prefix(const RedisAddress& address) {
+  constexpr std::string_view allowed = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-_";
+  if (address.prefix.find_first_not_of(allowed) == std::string::npos) return;
+  throw unusable(address.text,
+                 "the prefix \"" + address.prefix + "\" has more than letters, digits, \".\", \"-\" and \"_\"");
 }
 
 /// Refuses what the network between this machine and a server could read or forge.
@@ -115,6 +124,7 @@ RedisAddress parse_redis_address(const std::string& url) {
   if (!address.password_file.empty() && !address.password_variable.empty()) {
     throw unusable(url, "it names the password twice; keep password_file or password_variable");
   }
+  check_prefix(address);
   check_exposure(address);
   return address;
 }

@@ -10,7 +10,8 @@ namespace iotcloud::topology::internal {
 
 namespace {
 
-// Each key of a state is a hash "iotcloud:state:1:TOPOLOGY:COMPONENT:KEY" with the fields
+// Each key of a state is a hash "iotcloud:state:1:TOPOLOGY:COMPONENT:KEY", before which "PREFIX:" stands if the store's
+// URL has a prefix, with the fields
 //   o  the session of the task that claimed the key last
 //   v  the value; missing if the key does not exist in the state
 //   n  the number of checkpoints that have changed it
@@ -62,10 +63,6 @@ std::string escaped(const std::string& name) {
   return text;
 }
 
-std::string redis_key(const StateOwner& owner, const std::string& key) {
-  return "iotcloud:state:1:" + escaped(owner.topology) + ":" + escaped(owner.component) + ":" + key;
-}
-
 class RedisStore final : public StateStore {
  public:
   explicit RedisStore(const std::string& url) : address_(parse_redis_address(url)), pool_(address_) {}
@@ -81,7 +78,7 @@ class RedisStore final : public StateStore {
   }
 
   ClaimedValue claim(const StateOwner& owner, const std::string& key) override {
-    const RedisReply reply = pool_.ask({"EVAL", claim_script, "1", redis_key(owner, key), owner.session});
+    const RedisReply reply = pool_.ask({"EVAL", claim_script, "1", key_in_redis(owner, key), owner.session});
     if (reply.list.size() != 2) throw unexpected();
     ClaimedValue claimed;
     const RedisReply &value = reply.list[0], &number = reply.list[1];
@@ -95,7 +92,7 @@ class RedisStore final : public StateStore {
   void commit(const StateOwner& owner, const Checkpoint& checkpoint) override {
     std::vector<std::string> words{"EVAL", RedisPool::for_a_server_that_keeps_all(commit_script),
                                    std::to_string(checkpoint.claimed.size())};
-    for (const auto& claim : checkpoint.claimed) words.push_back(redis_key(owner, claim.key));
+    for (const auto& claim : checkpoint.claimed) words.push_back(key_in_redis(owner, claim.key));
     words.push_back(owner.session);
     for (const auto& [key, value] : checkpoint.changes) {
       const auto claim = std::lower_bound(checkpoint.claimed.begin(), checkpoint.claimed.end(), key,
@@ -114,6 +111,10 @@ class RedisStore final : public StateStore {
   void make_sure() override { pool_.make_sure(); }
 
  private:
+  std::string key_in_redis(const StateOwner& owner, const std::string& key) const {
+    const std::string prefix = address_.prefix.empty() ? "" : address_.prefix + ":";
+    return prefix + "iotcloud:state:1:" + escaped(owner.topology) + ":" + escaped(owner.component) + ":" + key;
+  }
   StateUnavailable unexpected() const {
     return StateUnavailable("the state store " + address_.text + " has data of another program or version");
   }
