@@ -124,5 +124,44 @@ TEST_F(TravellingState, IsExactWhileWorkersWithOtherNumbersOfTasksComeAndGoAtRan
             << " workers began and " << ended << " ended meanwhile\n";
 }
 
+/// A driver's messages are in two places, as after partitions were added until the old one is read, and two workers
+/// each read one of them.
+TEST_F(TravellingState, OfDriversThatTwoWorkersReadGoesOnAndIsExact) {
+  for (int i = 0; i < drivers; ++i) {
+    auto old = channel_record(id(i), "old", discovery::Direction::out);
+    old.properties = {{"routingKey", "old"}};
+    old.shared = true;
+    put_channel(old);
+    devices_[id(i)] = device(id(i));
+    show_driver(id(i));
+  }
+  const auto all_old = broker_->publisher({"", "g.d.old", false}, many());
+  const std::string of_driver = "fields: [text, driverID, time], builder: text";
+  for (int worker = 0; worker < 2; ++worker) {
+    ComponentRegistry components;
+    components.add_bolt("Count", make_stateful_bolt<PositionBolt>(
+                                     {.store = server_.url(), .checkpoint = std::chrono::milliseconds(20)}));
+    run_yaml("topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, " + of_driver +
+                 "}\n  old: {broker: rabbitmq, driver: d, channel: old, group: apart, " + of_driver +
+                 "}\nbolts:\n  count: {class: Count, inputs: [{from: in, grouping: fields, fields: [driverID]}, "
+                 "{from: old, grouping: fields, fields: [driverID]}]}\n",
+             std::move(components));
+  }
+  const auto failures = [&] { return metric("iotcloud_task_checkpoint_failures_total"); };
+  for (int burst = 0; burst < 100 && failures() == 0; ++burst) {
+    for (int n = 0; n < 5; ++n, sent_ += 2) {
+      for (int i = 0; i < drivers; ++i) {
+        all_old->publish(message(std::to_string(sent_), id(i)));
+        devices_[id(i)]->publish(message(std::to_string(sent_ + 1), id(i)));
+      }
+    }
+    for (int i = 0; i < drivers; ++i)
+      ASSERT_TRUE(eventually([&] { return count_of(id(i)) >= sent_; })) << id(i) << " has " << count_of(id(i));
+  }
+  EXPECT_GT(failures(), 0) << "one worker took the other's claim";
+  workers_.clear();  // nothing counts any more
+  for (int i = 0; i < drivers; ++i) EXPECT_EQ(count_of(id(i)), sent_) << id(i);
+}
+
 }  // namespace
 }  // namespace iotcloud::topology
