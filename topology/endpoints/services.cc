@@ -83,6 +83,11 @@ brokers::BrokerAddress address_of(const discovery::ChannelRecord& channel, const
   return address;
 }
 
+std::shared_ptr<PartitionAgreement> agreement_of(const std::string& spout, const EndpointServices& services) {
+  const auto found = services.agreements.find(spout);
+  return found == services.agreements.end() ? std::make_shared<PartitionAgreement>() : found->second;
+}
+
 const std::string& group_of(const EndpointDefinition& endpoint, const EndpointServices& services) {
   return endpoint.group.empty() ? services.topology.str() : endpoint.group;
 }

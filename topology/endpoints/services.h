@@ -44,8 +44,10 @@ struct EndpointServices {
   std::shared_ptr<HeldMessages> held = std::make_shared<HeldMessages>();  ///< never null
   std::shared_ptr<TroubleBoard> troubles = std::make_shared<TroubleBoard>();     ///< never null; the runtime's, too
   std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();  ///< never null
-  std::shared_ptr<PartitionAgreement> partitions = std::make_shared<PartitionAgreement>();  ///< never null
-  std::shared_ptr<DriverUnits> units = std::make_shared<DriverUnits>();                     ///< never null
+  std::shared_ptr<DriverUnits> units = std::make_shared<DriverUnits>();          ///< never null
+  /// By spout: what its channels must agree with (worker/meeting_spouts.h). Without an entry: with nothing, as where an
+  /// engine takes tuples to other workers.
+  std::map<std::string, std::shared_ptr<PartitionAgreement>> agreements;
   std::vector<std::function<void()>> before_stop;  ///< the worker calls these before it stops the topology
   std::vector<std::function<void()>> after_stop;   ///< the worker calls these when it has left the registry
 };
@@ -59,6 +61,8 @@ EndpointServicesPtr make_endpoint_services(const TopologyDefinition& definition,
 /// How long the process may stand still without losing a connection to a broker.
 std::chrono::milliseconds longest_standstill(const EndpointServices& services);
 
+/// What the channels that a spout reads must agree with; never null.
+std::shared_ptr<PartitionAgreement> agreement_of(const std::string& spout, const EndpointServices& services);
 /// The topic of a channel, as its record says.
 brokers::Topic topic_of(const discovery::ChannelRecord& channel);
 /// Why an endpoint that uses the logical broker `broker` cannot use this channel, as a text for the log; empty: it can.

@@ -20,6 +20,7 @@
 #include <iotcloud/topology/worker/check.h>
 #include <iotcloud/topology/worker/control.h>
 #include <iotcloud/topology/worker/left_behind.h>
+#include <iotcloud/topology/worker/meeting_spouts.h>
 #include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {
@@ -71,6 +72,7 @@ struct Worker::Impl {
     if (!definition.order_keys.empty()) trust_masters(definition);
     topology = assemble(definition, options.components, endpoint_factories(services));
     services->keepers = keepers_by_spout(topology);
+    services->agreements = agreements_by_spout(definition, topology);
     if (options.registry == nullptr && definition.registry.url.empty()) {
       throw definition.root.error("", "the key \"zk.servers\" is missing",
                                   "add \"zk.servers: [\\\"host:2181\\\"]\", or \"registry: embedded://NAME\"");

@@ -82,13 +82,16 @@ class KafkaPartitions : public Endpoints {
     options.properties["partitions"] = std::to_string(number);
     return *brokers_.emplace_back(brokers::make_broker(options));
   }
-  /// Starts a worker with this many tasks of each spout.
-  void start(const std::string& name, int tasks, const std::vector<std::string>& channels = {"up"}) {
+  /// Starts a worker with this many tasks of each spout. \param brokers of the channels that are not on Kafka
+  void start(const std::string& name, int tasks, const std::vector<std::string>& channels = {"up"},
+             const std::map<std::string, std::string>& brokers = {}) {
     std::string yaml = "topology.name: t\nbrokers:\n  kafka: {heartbeat: 1s, properties: {partitions: \"" +
                        std::to_string(partitions) + "\"}}\nspouts:\n";
     std::string inputs;
     for (const auto& channel : channels) {
-      yaml += "  " + channel + ": {broker: kafka, driver: d, channel: " + channel +
+      const auto other = brokers.find(channel);
+      yaml += "  " + channel + ": {broker: " + (other == brokers.end() ? "kafka" : other->second) +
+              ", driver: d, channel: " + channel +
               ", fields: [text, driverID, time], builder: text, parallelism: " + std::to_string(tasks) + "}\n";
       inputs += (inputs.empty() ? "{from: " : ", {from: ") + channel + ", grouping: fields, fields: [driverID]}";
     }
@@ -309,6 +312,29 @@ TEST_F(KafkaPartitions, OfDifferentNumbersOfADriversChannelsAreRefusedUntilTheyA
   EXPECT_THAT(worker.describe(), HasSubstr(R"("troubles":[])"));
 }
 
+TEST_F(KafkaPartitions, AreRefusedBesideAChannelOfTheDriverThatAnotherBrokerDoesNotSplit) {
+  publish_on("up", broker_with(partitions));
+  make_topics();
+  show();
+  for (int i = 0; i < instances; ++i) {
+    auto side = channel_record(id(i), "side", discovery::Direction::out, "rabbitmq");
+    side.broker_url = url_;
+    side.properties = {{"routingKey", "side"}};
+    side.shared = true;
+    put_channel(side);
+  }
+  start("one", 1, {"up", "side"}, {{"side", "rabbitmq"}});
+  const Worker& worker = *workers_.back();
+  EXPECT_TRUE(eventually([&] {
+    const std::string trouble = worker.trouble();
+    return trouble.find("up: channel up of driver d on gateway g is not read: instance i0 and 47 others") !=
+               std::string::npos &&
+           trouble.find("side: channel side of driver d") != std::string::npos &&
+           trouble.find("(side: shared and not split; up: shared and split into 4 partitions)") != std::string::npos;
+  })) << worker.trouble();
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+}
+
 TEST_F(KafkaPartitions, OfDifferentNumbersAreToldOfEachInstanceThatHasOthers) {
   publish_on("up", broker_with(partitions));
   publish_on("side", broker_with(2));
@@ -359,24 +385,28 @@ TEST_F(KafkaPartitions, OfDifferentNumbersAreNoTroubleOfAChannelThatIsNotReadFor
   EXPECT_TRUE(eventually([&] { return worker.trouble().empty(); })) << worker.trouble();
 }
 
+PartitionAgreement::Layout split(int partitions_of_topic) {
+  return {.exclusive = false, .partitions = partitions_of_topic};
+}
+
 TEST(PartitionAgreementTest, NamesTheChannelsThatDifferAndTellsOfEachChange) {
   PartitionAgreement agreement;
   const PartitionAgreement::Source source{"t", "d"_driver, "g"_gateway, "i"_instance};
   int changes = 0;
   const int listener = agreement.listen([&] { ++changes; });
-  agreement.set(source, "up", 4);
-  agreement.set(source, "side", 4);
-  agreement.set({"t", "d"_driver, "g"_gateway, "other"_instance}, "side", 2);
+  agreement.set(source, "up", split(4));
+  agreement.set(source, "side", split(4));
+  agreement.set({"t", "d"_driver, "g"_gateway, "other"_instance}, "side", split(2));
   EXPECT_THAT(agreement.difference(source), IsEmpty());
   EXPECT_EQ(changes, 0);
-  agreement.set(source, "side", 2);
+  agreement.set(source, "side", split(2));
   EXPECT_THAT(agreement.difference(source), HasSubstr("\"side\" and \"up\" have 2 and 4 partitions"));
   EXPECT_EQ(changes, 1);
-  agreement.set(source, "side", 0);
+  agreement.forget(source, "side");
   EXPECT_THAT(agreement.difference(source), IsEmpty());
   EXPECT_EQ(changes, 2);
   agreement.ignore(listener);
-  agreement.set(source, "side", 1);
+  agreement.set(source, "side", split(1));
   EXPECT_EQ(changes, 2);
 }
 

@@ -108,5 +108,64 @@ TEST_F(DriversWithSeveralChannels, AreEachInOneWorkerAlsoWhereSomeLackAChannel) 
   EXPECT_TRUE(eventually([&] { return until_each_is_in_one_worker() && !used_.contains("one"); }));
 }
 
+/// Drivers with an exclusive channel `up` and a channel `side` that they share.
+class DriversWithChannelsOfBothKinds : public Endpoints {
+ protected:
+  static constexpr int all = 5;
+
+  DriversWithChannelsOfBothKinds() {
+    for (int i = 0; i < all; ++i) {
+      const std::string id = "i" + std::to_string(i);
+      show_driver(id);
+      show_side(id, true);
+    }
+  }
+  void show_side(const std::string& id, bool shared) {
+    auto side = channel_record(id, "side", discovery::Direction::out);
+    side.properties = {{"routingKey", "side"}};
+    side.shared = shared;
+    put_channel(side);
+  }
+  /// \param side_group of the spout that reads `side`; empty: as that of the other
+  void start(const std::string& bolts, const std::string& side_group = {}) {
+    const std::string spout = "broker: rabbitmq, driver: d, fields: [text, driverID, time], builder: text";
+    ComponentRegistry components;
+    components.add_bolt("Where", [] { return make_bolt<WhereBolt>("one"); });
+    run_yaml("topology.name: t\nspouts:\n  up: {channel: up, " + spout + "}\n  side: {channel: side, " + spout +
+                 (side_group.empty() ? "" : ", group: " + side_group) + "}\nbolts:\n" + bolts,
+             std::move(components));
+  }
+  std::string trouble() const { return workers_.back()->trouble(); }
+};
+
+TEST_F(DriversWithChannelsOfBothKinds, AreNotReadWhereTheirMessagesWouldHaveToMeet) {
+  start("  where: {class: Where, inputs: [{from: up}, {from: side}]}\n");
+  EXPECT_TRUE(eventually([&] {
+    return trouble().find(
+               "up: channel up of driver d on gateway g is not read: instance i0 and 4 others: its channels "
+               "\"side\" and \"up\"") != std::string::npos &&
+           trouble().find("(side: shared and not split; up: exclusive)") != std::string::npos;
+  })) << trouble();
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 0; }));
+  for (int i = 0; i < all; ++i) show_side("i" + std::to_string(i), false);
+  EXPECT_TRUE(eventually([&] { return trouble().empty(); })) << trouble();
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 2 * all; }));
+}
+
+TEST_F(DriversWithChannelsOfBothKinds, AreReadWhereNoBoltGetsBoth) {
+  start(
+      "  where: {class: Where, inputs: {from: up}}\n  too: {class: Where, inputs: {from: side}}\n"
+      "  out: {broker: rabbitmq, driver: d, channel: down, fields: [text, driverID, time], builder: text, "
+      "inputs: [{from: up}, {from: side}]}\n");
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == all + 1; }));
+  EXPECT_THAT(trouble(), testing::IsEmpty());
+}
+
+TEST_F(DriversWithChannelsOfBothKinds, AreReadWhereAGroupOfItsOwnSaysThatOneOfThemNeedNotMeetTheOther) {
+  start("  where: {class: Where, inputs: [{from: up}, {from: side}]}\n", "apart");
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == all + 1; }));
+  EXPECT_THAT(trouble(), testing::IsEmpty());
+}
+
 }  // namespace
 }  // namespace iotcloud::topology

@@ -18,6 +18,7 @@
 namespace iotcloud::topology {
 namespace {
 
+using testing::AllOf;
 using testing::ElementsAre;
 using testing::HasSubstr;
 using testing::IsEmpty;
@@ -104,6 +105,8 @@ class SplitTopicsTest : public testing::Test {
     return {"t", "d"_driver, "g"_gateway, discovery::InstanceId(instance)};
   }
 
+  static SplitTopics::Layout split(int partitions) { return {.exclusive = false, .partitions = partitions}; }
+
   const std::unique_ptr<discovery::Registry> registry_;
   const std::shared_ptr<PartitionAgreement> agreement_ = std::make_shared<PartitionAgreement>();
   const std::shared_ptr<SplittingBroker> broker_ = std::make_shared<SplittingBroker>();
@@ -165,10 +168,10 @@ TEST_F(SplitTopicsTest, AllChannelsArePlacedAnewWhenThoseOfADriverAgreeNoLongerA
   next_changes(*topics);
   EXPECT_THAT(topics->difference(channel("i1")), IsEmpty());
 
-  agreement_->set(source(), "side", 2);  // as another spout of the worker does
+  agreement_->set(source(), "side", split(2));  // as another spout of the worker does
   EXPECT_TRUE(next_changes(*topics).all);
   EXPECT_THAT(topics->difference(channel("i1")), HasSubstr("\"side\" and \"up\" have 2 and 4 partitions"));
-  agreement_->set(source(), "side", 4);
+  agreement_->set(source(), "side", split(4));
   EXPECT_TRUE(next_changes(*topics).all);
   EXPECT_THAT(topics->difference(channel("i1")), IsEmpty());
 }
@@ -179,7 +182,7 @@ TEST_F(SplitTopicsTest, WhatIsNotReadAnyMoreNeedNotAgree) {
   topics->follow(channel("i2"), topic("y"));
   broker_->tell("x", 4);
   next_changes(*topics);
-  agreement_->set(source(), "side", 2);
+  agreement_->set(source(), "side", split(2));
   topics->forget(channel("i2"), topic("y"));
   EXPECT_THAT(agreement_->difference(source()), HasSubstr("4 partitions")) << "the other instance's topic is read";
   topics->forget(channel("i1"), topic("x"));
@@ -195,12 +198,12 @@ TEST_F(SplitTopicsTest, TwoTopicsOfOneDriverAreNotTakenForEachOther) {
   next_changes(*topics);
   broker_->tell("y", 2);
   next_changes(*topics);
-  agreement_->set(source("i1"), "side", 4);  // as another spout of the worker does
-  agreement_->set(source("i2"), "side", 2);
+  agreement_->set(source("i1"), "side", split(4));  // as another spout of the worker does
+  agreement_->set(source("i2"), "side", split(2));
   EXPECT_THAT(topics->difference(channel("i1")), IsEmpty());
   EXPECT_THAT(topics->difference(channel("i2")), IsEmpty());
 
-  agreement_->set(source("i1"), "side", 2);
+  agreement_->set(source("i1"), "side", split(2));
   EXPECT_THAT(topics->difference(channel("i1")), HasSubstr("\"side\" and \"up\" have 2 and 4 partitions"));
   EXPECT_THAT(topics->difference(channel("i2")), IsEmpty());
   topics->forget(channel("i1"), topic("x"));
@@ -212,10 +215,46 @@ TEST_F(SplitTopicsTest, AnInstanceThatComesToAKnownTopicIsJudgedAtOnce) {
   topics->follow(channel("i1"), topic("x"));
   broker_->tell("x", 4);
   next_changes(*topics);
-  agreement_->set(source("i2"), "side", 2);
+  agreement_->set(source("i2"), "side", split(2));
   EXPECT_THAT(topics->difference(channel("i2")), IsEmpty());
   EXPECT_EQ(topics->follow(channel("i2"), topic("x")), 4);
   EXPECT_THAT(topics->difference(channel("i2")), HasSubstr("have 2 and 4 partitions"));
+}
+
+TEST_F(SplitTopicsTest, ASharedTopicThatIsNotSplitMeetsTopicsOfOnePartitionOnly) {
+  broker_->split_nothing();
+  const auto topics = spout();
+  EXPECT_EQ(topics->follow(channel("i1"), topic("x")), std::nullopt);
+  agreement_->set(source(), "side", split(1));  // as another spout of the worker does
+  EXPECT_THAT(topics->difference(channel("i1")), IsEmpty());
+  agreement_->set(source(), "side", split(4));
+  EXPECT_TRUE(next_changes(*topics).all);
+  EXPECT_THAT(topics->difference(channel("i1")),
+              AllOf(HasSubstr("side: shared and split into 4 partitions; up: shared and not split"),
+                    HasSubstr("channel.NAME.broker"), HasSubstr("a \"group\" of its own")));
+}
+
+TEST_F(SplitTopicsTest, AnExclusiveChannelMeetsExclusiveChannelsOnly) {
+  const auto topics = spout();
+  auto own = channel("i1");
+  own.shared = false;
+  EXPECT_EQ(topics->follow(own, topic("x")), std::nullopt);
+  EXPECT_FALSE(broker_->is_followed("x")) << "nothing splits it";
+  agreement_->set(source(), "side", {.exclusive = true, .partitions = {}});
+  EXPECT_THAT(topics->difference(own), IsEmpty());
+  agreement_->set(source(), "side", {});
+  EXPECT_TRUE(next_changes(*topics).all);
+  EXPECT_THAT(topics->difference(own),
+              AllOf(HasSubstr("side: shared and not split; up: exclusive"), HasSubstr("channel.NAME.shared")));
+  topics->forget(own, topic("x"));
+  EXPECT_THAT(agreement_->difference(source()), IsEmpty());
+}
+
+TEST_F(SplitTopicsTest, ABrokerThatCannotBeUsedSaysNothingOfItsTopics) {
+  const auto topics = spout();
+  topics->follow(channel("i1"), topic("x", "unknown"));
+  agreement_->set(source(), "side", split(4));
+  EXPECT_THAT(topics->difference(channel("i1")), IsEmpty());
 }
 
 TEST_F(SplitTopicsTest, AtItsEndItFollowsNothingAndTellsOfNothing) {
@@ -225,9 +264,9 @@ TEST_F(SplitTopicsTest, AtItsEndItFollowsNothingAndTellsOfNothing) {
   next_changes(*topics);
   topics->end();
   EXPECT_FALSE(broker_->is_followed("x"));
-  agreement_->set(source(), "side", 2);
+  agreement_->set(source(), "side", split(2));
   EXPECT_THAT(agreement_->difference(source()), IsEmpty()) << "its own number is gone";
-  agreement_->set(source(), "other", 3);
+  agreement_->set(source(), "other", split(3));
   EXPECT_EQ(changes_, expected_);
 }
 

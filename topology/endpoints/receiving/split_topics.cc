@@ -24,7 +24,7 @@ void SplitTopics::end() {
   }
   planned.reset();  // waits for on_change; so no lock is held
   for (const auto& [key, topic] : topics_) {
-    for (const auto& [instance, channel] : topic.channels) options_.agreement->set(source_of(channel), channel.name, 0);
+    for (const auto& [instance, channel] : topic.channels) options_.agreement->forget(source_of(channel), channel.name);
   }
   topics_.clear();
 }
@@ -33,24 +33,26 @@ std::optional<int> SplitTopics::follow(const discovery::ChannelRecord& channel, 
   const auto [place, fresh] = topics_.try_emplace(key);
   SplitTopic& topic = place->second;
   topic.channels.insert_or_assign(channel.instance, channel);
-  if (fresh) {
+  if (fresh && !channel.shared) topic.layout = Layout{.exclusive = true, .partitions = {}};
+  if (fresh && channel.shared) {
     try {
       topic.broker = options_.broker_at(key.first);
       topic.watch = topic.broker->watch_partitions(key.second, [this, key](int count) { on_count(key, count); });
+      if (!topic.watch) topic.layout.emplace();
     } catch (const config::Error& error) {  // SpoutPlacement::open_reader() logs it as an error
       endpoints_logger.debug("{}: {}", options_.component, error.what());
     }
   }
+  if (topic.layout) options_.agreement->set(source_of(channel), channel.name, *topic.layout);
   if (!topic.watch) return std::nullopt;
-  if (topic.told) options_.agreement->set(source_of(channel), channel.name, *topic.told);
-  return topic.told.value_or(1);
+  return topic.partitions();
 }
 
 void SplitTopics::forget(const discovery::ChannelRecord& channel, const Key& key) {
   const auto found = topics_.find(key);
   if (found == topics_.end()) return;
   if (found->second.channels.erase(channel.instance) == 0) return;
-  options_.agreement->set(source_of(channel), channel.name, 0);
+  options_.agreement->forget(source_of(channel), channel.name);
   if (found->second.channels.empty()) topics_.erase(found);
 }
 
@@ -84,11 +86,12 @@ SplitTopics::Changes SplitTopics::take_changes() {
     const auto found = topics_.find(key);
     if (found == topics_.end()) continue;
     SplitTopic& topic = found->second;
-    const bool changed = std::exchange(topic.told, count).value_or(1) != count;
+    const bool changed = topic.partitions() != count;
+    topic.layout = Layout{.exclusive = false, .partitions = count};
     endpoints_logger.debug("{}: topic {} has {} partitions", options_.component, key.second.name, count);
     for (const auto& [instance, channel] : topic.channels) {
       if (changed) changes.instances.insert(instance);
-      options_.agreement->set(source_of(channel), channel.name, count);
+      options_.agreement->set(source_of(channel), channel.name, *topic.layout);
     }
   }
   return changes;

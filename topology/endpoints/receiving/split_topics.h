@@ -18,9 +18,11 @@
 namespace iotcloud::topology {
 
 /// Follows into how many partitions the broker splits the topics of the shared channels that one spout component reads,
-/// and tells the worker's PartitionAgreement. All its functions must be called by one thread at a time.
+/// and tells the spout's PartitionAgreement of these and of the exclusive channels. All its functions must be called by
+/// one thread at a time.
 class SplitTopics {
  public:
+  using Layout = PartitionAgreement::Layout;
   using Key = std::pair<brokers::BrokerAddress, brokers::Topic>;
   struct Options {
     std::string component;                    ///< for the log
@@ -34,7 +36,7 @@ class SplitTopics {
   };
   /// The channels that the spout has to place anew.
   struct Changes {
-    bool all = false;  ///< all shared channels: the channels of a driver instance agree no longer, or again
+    bool all = false;                           ///< all channels: those of a driver instance agree no longer, or again
     std::set<discovery::InstanceId> instances;  ///< the topics of their channels have another number of partitions now
   };
 
@@ -48,9 +50,9 @@ class SplitTopics {
   /// Follows no topic any more. When it returns, `on_change` does not run, and is not called again.
   void end() IOTCLOUD_EXCLUDES(mutex_);
 
-  /// Follows the topic of a shared channel, until forget() is called for each channel that uses it.
-  /// \return the topic's number of partitions, 1 until the broker has told it; nullopt: this broker does not split
-  /// topics, or cannot be used.
+  /// Follows the topic of a channel, until forget() is called for each channel that uses it.
+  /// \return the topic's number of partitions, 1 until the broker has told it; nullopt: the channel is exclusive, or
+  /// this broker does not split topics, or it cannot be used.
   std::optional<int> follow(const discovery::ChannelRecord& channel, const Key& topic) IOTCLOUD_EXCLUDES(mutex_);
   /// The channel does not use the topic any more.
   void forget(const discovery::ChannelRecord& channel, const Key& topic);
@@ -62,9 +64,11 @@ class SplitTopics {
  private:
   struct SplitTopic {
     std::shared_ptr<brokers::Broker> broker;         ///< must outlive the watch; null: it cannot be used
-    std::unique_ptr<brokers::PartitionWatch> watch;  ///< null: this broker does not split topics
-    std::optional<int> told;                         ///< number of partitions; nullopt: not known yet
+    std::unique_ptr<brokers::PartitionWatch> watch;  ///< null: the topic is not split
+    std::optional<Layout> layout;                    ///< nullopt: not known yet
     std::map<discovery::InstanceId, discovery::ChannelRecord> channels;  ///< those that use it
+
+    int partitions() const { return layout ? layout->partitions.value_or(1) : 1; }
   };
 
   void on_count(const Key& topic, int count) IOTCLOUD_EXCLUDES(mutex_);

@@ -116,7 +116,7 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
   topics.component = component_;
   topics.group = group_of(endpoint_, *services_);
   topics.registry = &registry;
-  topics.agreement = services_->partitions;
+  topics.agreement = agreement_of(component_, *services_);
   topics.broker_at = [this](const brokers::BrokerAddress& address) { return broker_at(address, *services_); };
   topics.on_change = [this] {
     in_turn([&] {
@@ -286,7 +286,7 @@ discovery::GuardPtr SpoutPlacement::take(discovery::GuardPtr SpoutPlacement::*ti
 }
 
 bool SpoutPlacement::fits(const discovery::ChannelRecord& channel, const std::string& unfit) {
-  const std::string difference = unfit.empty() && channel.shared ? split_topics_->difference(channel) : std::string();
+  const std::string difference = unfit.empty() ? split_topics_->difference(channel) : std::string();
   set_difference(channel, difference);
   const std::string& problem = unfit.empty() ? difference : unfit;
   if (problem.empty()) return true;
@@ -298,7 +298,7 @@ bool SpoutPlacement::fits(const discovery::ChannelRecord& channel, const std::st
   return false;
 }
 
-/// Shows why this instance's shared channel is not read, until a later call has another text. \param text empty: the
+/// Shows why this instance's channel is not read, until a later call has another text. \param text empty: the
 /// channel is read, or gone, or not read for a reason that is shown elsewhere
 void SpoutPlacement::set_difference(const discovery::ChannelRecord& channel, const std::string& text) {
   const Difference now(channel.gateway, text);
@@ -338,7 +338,7 @@ void SpoutPlacement::on_channel(const discovery::ChannelRecord& channel) {
     const discovery::ChannelRecord before = known->second;
     const bool readable = misfit(channel, discovery::Direction::out, endpoint_.broker).empty();
     const bool same_topic = before.gateway == channel.gateway && key_of(before) == key_of(channel);
-    if (!(channel.shared && readable && same_topic)) follow_no_more(before);
+    if (!(before.shared == channel.shared && readable && same_topic)) follow_no_more(before);
     if (unit_of(before) != unit_of(channel)) displace(before, 0, SpoutUnits::End::at_once);
   }
   warned_of_missing_ = false;
@@ -377,7 +377,7 @@ void SpoutPlacement::remove_queue(const UnitReaders::Key& topic) {
 void SpoutPlacement::place(const discovery::ChannelRecord& channel) {
   const std::string unfit = misfit(channel, discovery::Direction::out, endpoint_.broker);
   std::optional<int> partitions;
-  if (unfit.empty() && channel.shared) partitions = split_topics_->follow(channel, key_of(channel));
+  if (unfit.empty()) partitions = split_topics_->follow(channel, key_of(channel));
   if (!fits(channel, unfit)) {
     return displace(channel, 0, unfit.empty() ? SpoutUnits::End::at_once : SpoutUnits::End::when_silent);
   }
@@ -403,7 +403,7 @@ void SpoutPlacement::displace(const discovery::ChannelRecord& channel, int first
 }
 
 void SpoutPlacement::follow_no_more(const discovery::ChannelRecord& channel) {
-  if (channel.shared) split_topics_->forget(channel, key_of(channel));
+  split_topics_->forget(channel, key_of(channel));
 }
 
 UnitReaders::Key SpoutPlacement::key_of(const discovery::ChannelRecord& channel) const {
@@ -415,7 +415,7 @@ UnitReaders::Key SpoutPlacement::key_of(const discovery::ChannelRecord& channel)
 void SpoutPlacement::on_partitions() {
   const auto changes = split_topics_->take_changes();
   for (const auto& [instance, channel] : channels_) {
-    if (channel.shared && (changes.all || changes.instances.contains(instance))) place(channel);
+    if (changes.all || changes.instances.contains(instance)) place(channel);
   }
 }
 

@@ -25,7 +25,7 @@ namespace iotcloud::topology {
 /// such component. The unit of placement is a driver instance (exclusive channels) or a driver on a gateway (shared
 /// channels); where the broker splits topics (Kafka), it is one partition of the latter. Partitions with the same
 /// number of all channels of a driver on a gateway are one unit for all spouts, so that a driver's messages meet in one
-/// worker; channels that are not split alike are not read (PartitionAgreement).
+/// worker; channels that come to one bolt and would not meet are not read (PartitionAgreement).
 ///
 /// The workers of a group (YAML's `group`, or the workers of the topology) share the units: each runs for leader of
 /// those of its fair share, so that the numbers of units of any two tasks differ by one at most, of each kind and in
@@ -55,7 +55,7 @@ class SpoutPlacement {
 
  private:
   struct Search;  ///< all that tells what to read: session, reading group, drivers, fence
-  /// The gateway of an instance whose shared channel is not read, and why.
+  /// The gateway of an instance whose channel is not read, and why.
   using Difference = std::pair<discovery::GatewayId, std::string>;
 
   /// Runs a callback of the registry, unless leave() was called. No lock is held meanwhile: the callback opens and
