@@ -26,8 +26,15 @@ std::string wire_prefix(const ChannelRecord& channel) {
   return prefix;
 }
 
+bool is_on_kafka(const ChannelRecord& channel) {
+  const std::string& url = channel.broker_url;
+  if (url.find("://") == std::string::npos) return channel.properties.contains("topic");
+  return url.starts_with("kafka://") || url.starts_with("kafkas://");
+}
+
 std::string wire_name(const ChannelRecord& channel) {
-  return wire_name_of(channel, {"routingKey", "topic", "queueName"});
+  if (is_on_kafka(channel)) return wire_name_of(channel, {"topic", "routingKey", "queueName"});
+  return wire_name_of(channel, {"routingKey", "queueName", "topic"});
 }
 
 std::string original_queue(const ChannelRecord& channel) {

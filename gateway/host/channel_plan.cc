@@ -197,6 +197,10 @@ PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::Driver
   record.instance = instance.order.instance;
   record.shared = spec.shared;
   record.properties["durable"] = spec.durable ? "true" : "false";
+  // All names stand in the record as the driver gave them, also those that this broker does not use.
+  for (const char* name : {"exchange", "routingKey", "queueName", "topic"}) {
+    if (const std::string own = given(name, ""); !own.empty()) record.properties[name] = own;
+  }
   if (broker.type == "kafka") {
     record.properties["topic"] = given("topic", spec.name);
   } else {
@@ -208,6 +212,11 @@ PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::Driver
     record.properties["routingKey"] = given("routingKey", given("queueName", spec.name));
     record.properties["queueName"] = given("queueName", given("routingKey", spec.name));
   }
+  channel.address = {broker.name, spec.shared ? broker.shared_urls : broker.exclusive_urls};
+  const auto& urls = channel.address.urls;
+  if (urls.empty()) throw config::Error(fmt::format("the broker \"{}\" has no URL", broker.name));
+  record.broker_url = urls.front();
+  if (urls.size() > 1) record.properties["urls"] = fmt::format("{}", fmt::join(urls, " "));
   check_raw(record);
   channel.topic.name = discovery::wire_name(record);
   channel.topic.durable = spec.durable;
@@ -216,11 +225,6 @@ PlannedChannel plan(const discovery::GatewayId& gateway, const discovery::Driver
   record.transport = broker.name;
   record.direction = spec.direction == drivers::Direction::in ? discovery::Direction::in : discovery::Direction::out;
   channel.broker = broker.options;
-  channel.address = {broker.name, spec.shared ? broker.shared_urls : broker.exclusive_urls};
-  const auto& urls = channel.address.urls;
-  if (urls.empty()) throw config::Error(fmt::format("the broker \"{}\" has no URL", broker.name));
-  record.broker_url = urls.front();
-  if (urls.size() > 1) record.properties["urls"] = fmt::format("{}", fmt::join(urls, " "));
   if (spec.priority != brokers::normal_priority) record.properties["priority"] = std::to_string(spec.priority);
   return channel;
 }

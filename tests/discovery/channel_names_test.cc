@@ -29,6 +29,25 @@ TEST(ChannelNames, TheTopicIsTheRoutingKeyAndTheOriginalsQueueHasTheQueuesName) 
   EXPECT_EQ(original_queue(record), "gw.turtle.0a1b.frames");
 }
 
+TEST(ChannelNames, OfAllNamesThatADriverGaveTheBrokerDecidesWhichIsTheTopics) {
+  const std::map<std::string, std::string> all{
+      {"exchange", "e"}, {"routingKey", "key"}, {"queueName", "queue"}, {"topic", "topic"}};
+  auto record = record_with(all, true);
+  for (const char* url : {"kafka://h:9092", "kafkas://h:9093", "h:9092"}) {
+    record.broker_url = url;
+    EXPECT_TRUE(is_on_kafka(record)) << url;
+    EXPECT_EQ(wire_name(record), "gw.turtle.topic") << url;
+  }
+  for (const char* url : {"amqp://h:5672", "activemq://h:61616", "embedded://kafka"}) {
+    record.broker_url = url;
+    EXPECT_FALSE(is_on_kafka(record)) << url;
+    EXPECT_EQ(wire_name(record), "gw.turtle.key") << url;
+  }
+  EXPECT_EQ(original_queue(record), "gw.turtle.queue");
+  record.properties.erase("routingKey");
+  EXPECT_EQ(wire_name(record), "gw.turtle.queue");
+}
+
 TEST(ChannelNames, AWholeNameThatAnOlderGatewayWroteIsTakenAsItIs) {
   EXPECT_EQ(wire_name(record_with({{"routingKey", "gw.turtle.0a1b.kinect"}, {"durable", "false"}})),
             "gw.turtle.0a1b.kinect");

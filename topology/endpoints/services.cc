@@ -21,7 +21,7 @@ std::string property(const discovery::ChannelRecord& channel, const char* key) {
 /// The original's gateways write Kafka's servers without a scheme.
 std::string url_of(const discovery::ChannelRecord& channel) {
   const bool bare = channel.broker_url.find("://") == std::string::npos;
-  return bare && channel.properties.contains("topic") ? "kafka://" + channel.broker_url : channel.broker_url;
+  return bare && discovery::is_on_kafka(channel) ? "kafka://" + channel.broker_url : channel.broker_url;
 }
 
 std::string unique_name() {
@@ -55,7 +55,8 @@ std::chrono::milliseconds longest_standstill(const EndpointServices& services) {
 }
 
 brokers::Topic topic_of(const discovery::ChannelRecord& channel) {
-  return {property(channel, "exchange"), discovery::wire_name(channel), property(channel, "durable") == "true"};
+  const std::string exchange = discovery::is_on_kafka(channel) ? "" : property(channel, "exchange");
+  return {exchange, discovery::wire_name(channel), property(channel, "durable") == "true"};
 }
 
 std::string misfit(const discovery::ChannelRecord& channel, discovery::Direction wanted, const std::string& broker) {

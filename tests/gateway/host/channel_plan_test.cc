@@ -124,6 +124,24 @@ TEST(ChannelPlan, NamesThatTheDriverGivesFollowThePrefix) {
   EXPECT_EQ(planned.record.properties.at("queueName"), "frames");
 }
 
+TEST(ChannelPlan, AllNamesThatTheDriverGivesStandInTheRecordWhateverTheBroker) {
+  const std::map<std::string, std::string> names{
+      {"exchange", "sensors"}, {"routingKey", "depth"}, {"queueName", "frames"}, {"topic", "images"}};
+  auto wanted = channel("kinect", true);
+  wanted.properties = {names.begin(), names.end()};
+  for (const char* broker : {"rabbitmq", "kafka"}) {
+    wanted.broker = broker;
+    const auto planned = plan_channels("gw1"_gateway, "turtle"_driver, instance(), {wanted}).at(0);
+    for (const auto& [name, value] : names) EXPECT_EQ(planned.record.properties.at(name), value) << broker;
+    const bool on_kafka = wanted.broker == "kafka";
+    EXPECT_EQ(planned.topic,
+              (brokers::Topic{on_kafka ? "" : "sensors", on_kafka ? "gw1.turtle.images" : "gw1.turtle.depth", false}));
+  }
+  wanted.properties = {{"routingKey", "depth"}};
+  EXPECT_EQ(plan_channels("gw1"_gateway, "turtle"_driver, instance(), {wanted}).at(0).topic.name, "gw1.turtle.kinect")
+      << "on Kafka the topic has the channel's name all the same";
+}
+
 TEST(ChannelPlan, ANameThatReadersWouldTakeForAWholeWireNameIsRefused) {
   auto wanted = channel("kinect");
   wanted.properties = {{"routingKey", "gw1.turtle.0a1b.kinect"}};

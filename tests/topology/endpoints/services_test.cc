@@ -38,6 +38,16 @@ TEST(EndpointServices, AKafkaServerOfTheOriginalHasNoScheme) {
   EXPECT_EQ(urls_of(record), std::vector<std::string>{"kafka://h:9092"});
 }
 
+TEST(EndpointServices, ARecordOfTheOriginalWithTheNamesOfAllBrokersIsReadByItsOwn) {
+  const std::map<std::string, std::string> all{
+      {"exchange", "e"}, {"routingKey", "rk"}, {"queueName", "q"}, {"topic", "t"}};
+  EXPECT_EQ(topic_of(record_with(all, "amqp://h:5672")), (brokers::Topic{"e", "g.d.one.rk", false}));
+  auto record = record_with(all, "h:9092");
+  record.shared = true;
+  EXPECT_EQ(topic_of(record), (brokers::Topic{"", "g.d.t", false}));
+  EXPECT_EQ(urls_of(record), std::vector<std::string>{"kafka://h:9092"});
+}
+
 TEST(EndpointServices, ARecordOfAnOlderGatewayNamesItsTopicWhole) {
   const auto record = record_with({{"exchange", "d"}, {"routingKey", "g.d.one.up"}, {"durable", "true"}}, "amqp://h/");
   EXPECT_EQ(topic_of(record), (brokers::Topic{"d", "g.d.one.up", true}));

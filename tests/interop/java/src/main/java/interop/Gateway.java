@@ -102,15 +102,14 @@ final class Gateway {
         return sensor;
     }
 
-    /** The properties hold the names as the driver gave them, without the prefix. */
+    /** The properties hold the names of all brokers as the driver gave them, without the prefix. */
     private TChannel channel(String driver, String instance, String name, TDirection direction, boolean grouped) {
         var channel = new TChannel();
         channel.setName(name);
         channel.setTransport(kind);
         channel.setDirection(direction);
-        channel.setProperties(kind.equals("kafka")
-                ? Map.of("topic", driver + "_" + name)
-                : Map.of("exchange", driver + "_exchange", "routingKey", name + "_key", "queueName", name + "_queue"));
+        channel.setProperties(Map.of("exchange", driver + "_exchange", "routingKey", name + "_key", "queueName",
+                name + "_queue", "topic", driver + "_" + name));
         channel.setBrokerUrl(server.replaceFirst("^kafka://", ""));
         channel.setSite(SITE);
         channel.setSensor(driver);
