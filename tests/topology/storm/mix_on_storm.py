@@ -1,6 +1,7 @@
 #!/usr/bin/python3
 """The example storm_mix on a private Storm: Java, Python and C++ in one topology, started by a Flux file and by a Java program.
 Each text, integer and double is counted by one task, whichever language emitted it, and nothing is lost or counted twice.
+A value of Java that C++ cannot have fails its tuple, and says so.
 
 usage: mix_on_storm.py BUILD LIBRARY     (BUILD: build/release; LIBRARY: the example's, storm_mix.so)
 """
@@ -18,6 +19,23 @@ ROOT = Path(__file__).resolve().parents[3]
 EXAMPLE = ROOT / "examples" / "storm_mix"
 FLUX = "org.apache.storm.flux.Flux"
 ROUNDS = 50
+# A spout of Java that comes with Storm emits a text, and then a map in its place.
+ODD = """
+name: odd
+config: {topology.stats.sample.rate: 1.0}
+components:
+  - {id: fields, className: org.apache.storm.tuple.Fields, constructorArgs: [[name, by]]}
+spouts:
+  - id: odd
+    className: org.apache.storm.testing.FixedTupleSpout
+    constructorArgs: [[[Zürich, Java], [{a: 1}, Java], [Quito, Java]], {ref: fields}]
+bolts:
+  - {id: names, className: iotcloud.storm.CppBolt, constructorArgs: [storm_mix.so, mix.CountNames]}
+  - {id: table, className: mix.Table, constructorArgs: [%s]}
+streams:
+  - {from: odd, to: names, grouping: {type: SHUFFLE}}
+  - {from: names, to: table, grouping: {type: GLOBAL}}
+"""
 NUMBERS = {"-3", "7", "5000000000", "0", "-40", "128"}
 KEYS = {"names": {"Zürich", "Bloomington", "東京", "", "two words", "Quito"}, "numbers": NUMBERS,
         "levels": {"0.30000000000000004", "-2.5", "1.0E-7", "2.0", "0.3333333333333333", "-1.0E21"}}
@@ -84,6 +102,23 @@ class MixOnStorm(StormCase):
         submitted = self.storm_jar(self.jar, "mix.Main", table, str(ROUNDS))
         self.assertEqual(submitted.returncode, 0, submitted.stdout + submitted.stderr)
         self.check(table)
+
+    def test_a_value_of_java_that_cpp_cannot_have_fails_its_tuple(self):
+        file = Path(self.place.name) / "odd.yaml"
+        file.write_text(ODD.replace("%s", str(file.with_suffix(".table"))))
+        submitted = self.storm_jar(self.jar, FLUX, file)
+        self.assertEqual(submitted.returncode, 0, submitted.stdout + submitted.stderr)
+        self.wait_for("the component's error", lambda: self.table("errors", "odd"))
+        (error,) = self.table("errors", "odd")
+        self.assertEqual((error["component"], error["error"]), (
+            "names", 'the field "name" of odd/default is a java.util.LinkedHashMap; C++ components take null, Boolean, '
+            "Long (or Integer, Short, Byte), Double (or Float), String and byte[]"))
+
+        def counts():
+            return {row["component"]: (row["acked"], row["failed"]) for row in self.table("metrics", "odd")}
+        self.wait_for("Storm's counts", lambda: counts().get("names") == (2, 1))
+        self.assertEqual(len(self.storm.running_workers("odd")), 1)
+        self.ask("kill", "odd", "--wait", "0")
 
     def test_a_class_that_is_not_in_the_library_is_refused_before_anything_is_sent(self):
         for name, said in (("mix.Relais", "storm_mix.so has no bolt mix.Relais; it has mix.CountNames, mix.Relay"),
