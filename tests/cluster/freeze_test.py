@@ -82,13 +82,24 @@ def wait_until_fresh(cluster, worker):
              cluster.metric(worker, "iotcloud_spout_arrival_age_seconds") < 1)
 
 
-def freeze(cluster, victim, other):
+def wait_for_calm(starvation):
+    """Waits for a moment in which hardly any process waited for a processor, ten seconds at most. What librdkafka has
+    it also sends when it goes on after a freeze, before anybody can take it back (brokers/kafka/README.md). On a calm machine
+    it has nothing but what is on its way already."""
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline and not starvation.calm():
+        time.sleep(0.02)
+
+
+def freeze(cluster, victim, other, starvation):
     """Runs one round; returns from when to when some driver of the victim was read by nobody."""
     process = cluster.process(victim)
     own = {unit for unit, worker in cluster.reading().items() if worker == victim}
-    connections, kept_back, received = ports(process.pid), kept(cluster, victim), cluster.received(other)
+    connections, kept_back = ports(process.pid), kept(cluster, victim)
+    wait_for_calm(starvation)
     freeze_process(process)
     frozen, began = time.time(), time.monotonic()  # the timeline has the time of day
+    received = cluster.received(other)
 
     def taken_over():
         return {event.unit: event.time for event in reversed(cluster.timeline([other]))
@@ -142,7 +153,7 @@ def main():
         for worker in workers:
             wait_until_fresh(cluster, worker)
         for number in range(given.rounds):
-            spans.append(freeze(cluster, workers[number % 2], workers[1 - number % 2]))
+            spans.append(freeze(cluster, workers[number % 2], workers[1 - number % 2], starvation))
         totals = cluster.totals(given.rounds * ROUND_S[given.broker] + 60)
         cluster.require_alive()
     finish("frozen and continued", totals)

@@ -30,6 +30,10 @@ class Starvation(threading.Thread):
             time.sleep(NOTE_S)
             self.note()
 
+    def calm(self):
+        """Whether hardly any process waited in the moment before now."""
+        return self.counts[-1] - self.counts[max(len(self.counts) - 3, 0)] < NOTE_S / 5
+
     def without(self, begin, end):
         """For how many seconds from `begin` to `end`, two times of day that have passed, no process waited. Counted is from the
         last look before to the first look after, so that the seconds may be too few by a moment."""
