@@ -90,14 +90,14 @@ std::unique_ptr<Registry> make_registry(const RegistryOptions& options) {
 }
 
 RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
-                           const std::function<void(std::size_t)>& progress) {
+                           const std::function<void(std::size_t)>& progress, ServersNodes servers) {
   if (!options.url.starts_with("zookeeper://"))
     throw config::Error("the registry " + options.url + " has no rights to renew; only ZooKeeper has");
   if (!options.access || !options.access->is_master(options.user))
     throw config::Error("rights are renewed by a master of the fleet's users");
   const auto settings = settings_of(options);
   refuse_exposed(options, settings.url);
-  return zookeeper::renew_rights(settings, paths, options.operation_timeout, progress);
+  return zookeeper::renew_rights(settings, paths, options.operation_timeout, progress, servers);
 }
 
 namespace {

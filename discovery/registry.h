@@ -170,16 +170,25 @@ struct RenewedRights {
   /// removed; their owners, if they are the fleet's, make them again.
   std::vector<std::string> removed;
   std::vector<std::string> foreign;  ///< of them, those that have nodes below; only ZooKeeper's superuser removes them
+  /// ZooKeeper's own nodes that everybody who reaches it may still change: ServersNodes.
+  std::vector<std::string> open;
+  std::vector<std::string> seized;  ///< of its own nodes, those whose rights keep this master out
 };
+/// What renew_rights() does about nodes that ZooKeeper has from its beginning: `/`, `/zookeeper` and, with all below,
+/// `/zookeeper/quota`. Whoever reaches the server may make nodes there and set quotas, until somebody takes these
+/// rights away. Afterwards only masters may, so others who make nodes at the top must have their own by then, as a chroot.
+enum class ServersNodes { only_looked_at, closed };
 /// Gives all nodes of a fleet in ZooKeeper the rights that `options.access` says now: a node keeps those of its
 /// creation until somebody does, so a user that was added later may not enter, and one that was removed still may.
 /// Makes the branches that are missing.
-/// Waits for the registry's answers. A second run goes on where one ended early.
+/// Waits for the registry's answers. A second run goes on where one ended early. The last thing it does is what `servers`
+/// says.
 /// \param options a master's, with user and access. \param progress called now and then; may be empty.
 /// \throws config::Error when the registry does not answer, or does not let this user change a node's rights; for an
 /// embedded registry, which has no rights
 RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,
-                           const std::function<void(std::size_t nodes)>& progress = {});
+                           const std::function<void(std::size_t nodes)>& progress = {},
+                           ServersNodes servers = ServersNodes::only_looked_at);
 
 /// Makes the nodes below which all records are (Paths::branches), as far as they are missing; masters do so whenever
 /// they have reached the registry, which may have been emptied meanwhile, and when somebody has removed one. With

@@ -4,6 +4,7 @@
 #include <memory>
 #include <optional>
 #include <set>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -65,8 +66,8 @@ class RightsSession {
 class RightsRenewal {
  public:
   RightsRenewal(const Settings& settings, const Paths& paths, std::chrono::milliseconds limit,
-                const std::function<void(std::size_t)>& progress)
-      : settings_(settings), paths_(paths), progress_(progress), session_(settings, limit) {}
+                const std::function<void(std::size_t)>& progress, ServersNodes servers)
+      : settings_(settings), paths_(paths), progress_(progress), servers_(servers), session_(settings, limit) {}
 
   RenewedRights run() {
     const std::string& chroot = settings_.url.chroot;
@@ -83,6 +84,10 @@ class RightsRenewal {
       walk(branch, "");
       make(chroot + branch, branch);
     }
+    must_be_its_own(chroot + paths_.gateways);
+    look_at_servers_node("/");
+    look_at_servers_node("/zookeeper");
+    look_below("/zookeeper/quota");
     return done_;
   }
 
@@ -105,6 +110,63 @@ class RightsRenewal {
     const std::unique_ptr<String_vector, void (*)(String_vector*)> owner(
         &names, [](String_vector* list) { deallocate_String_vector(list); });
     for (int i = 0; i < names.count; ++i) walk(path + "/" + names.data[i], *creator);
+  }
+
+  /// Closing a node that everybody may change needs no right, so a wrong password would shut its user out: this tells.
+  void must_be_its_own(const std::string& branch) {
+    String_vector names{};
+    must(zoo_get_children(session_.get(), branch.c_str(), 0, &names), branch);
+    deallocate_String_vector(&names);
+  }
+
+  void look_below(const std::string& path) {
+    if (!look_at_servers_node(path)) return;
+    String_vector names{};
+    if (zoo_get_children(session_.get(), path.c_str(), 0, &names) != ZOK) return;
+    const std::unique_ptr<String_vector, void (*)(String_vector*)> owner(
+        &names, [](String_vector* list) { deallocate_String_vector(list); });
+    for (int i = 0; i < names.count; ++i) look_below(path + "/" + names.data[i]);
+  }
+
+  /// Closes a node of the server's own, or notes that it is open, or not this master's. \return whether this master may
+  /// look further
+  bool look_at_servers_node(const std::string& full) {
+    const NodeRights now(settings_, full, "");
+    for (;;) {
+      ACL_vector before{};
+      Stat stat{};
+      const int code = zoo_get_acl(session_.get(), full.c_str(), &before, &stat);
+      if (code == ZNONODE) return false;
+      if (code == ZNOAUTH) {
+        done_.seized.push_back(full);
+        return false;
+      }
+      must(code, full);
+      const std::unique_ptr<ACL_vector, void (*)(ACL_vector*)> owner(
+          &before, [](ACL_vector* list) { deallocate_ACL_vector(list); });
+      ++done_.nodes;
+      if (now.are(before)) return true;
+      if (servers_ == ServersNodes::only_looked_at) {
+        if (may_everybody_change(before)) done_.open.push_back(full);
+        return true;
+      }
+      const int changed = zoo_set_acl(session_.get(), full.c_str(), stat.aversion, now.get());
+      if (changed == ZBADVERSION) continue;
+      if (changed == ZNONODE) return false;
+      if (changed == ZNOAUTH) {
+        done_.seized.push_back(full);
+        return true;
+      }
+      must(changed, full);
+      ++done_.changed;
+      return true;
+    }
+  }
+
+  static bool may_everybody_change(const ACL_vector& rights) {
+    return std::any_of(rights.data, rights.data + rights.count, [](const ACL& right) {
+      return std::string_view(right.id.scheme) == "world" && (right.perms & ~ZOO_PERM_READ) != 0;
+    });
   }
 
   /// Sets the rights of one node. \return whose it is; nullopt: it is not there
@@ -191,6 +253,7 @@ class RightsRenewal {
   const Settings& settings_;
   const Paths& paths_;
   const std::function<void(std::size_t)>& progress_;
+  const ServersNodes servers_;
   RightsSession session_;
   RenewedRights done_;
 };
@@ -228,8 +291,8 @@ bool NodeRights::are(const ACL_vector& of_node) const {
 }
 
 RenewedRights renew_rights(const Settings& settings, const Paths& paths, std::chrono::milliseconds limit,
-                           const std::function<void(std::size_t)>& progress) {
-  return RightsRenewal(settings, paths, limit, progress).run();
+                           const std::function<void(std::size_t)>& progress, ServersNodes servers) {
+  return RightsRenewal(settings, paths, limit, progress, servers).run();
 }
 
 }  // namespace iotcloud::discovery::zookeeper

@@ -42,6 +42,6 @@ class NodeRights {
 
 /// See discovery::renew_rights().
 RenewedRights renew_rights(const Settings& settings, const Paths& paths, std::chrono::milliseconds limit,
-                           const std::function<void(std::size_t nodes)>& progress);
+                           const std::function<void(std::size_t nodes)>& progress, ServersNodes servers);
 
 }  // namespace iotcloud::discovery::zookeeper

@@ -292,6 +292,12 @@ class RenewRights final : public Verb {
     options.add_option("--root", root_, "zk.root of the fleet's files")->type_name("PATH");
     options.add_flag("--unencrypted", options_.unencrypted, "as registry.unencrypted of the fleet's files");
     options.add_flag("--others-may-read", options_.others_may_read, "as registry.others_may_read of the fleet's files");
+    options.add_flag(
+        "--close-server", close_server_,
+        "also take from everybody who reaches ZooKeeper, a driver host too, the rights on its own nodes: then only "
+        "masters make and remove nodes at the top (/), and set quotas (/zookeeper). Others who use it, as Kafka or Storm, "
+        "must have made a node of their own at the top by then, below which all of theirs are (a chroot); one that "
+        "makes nodes at the top itself cannot go on");
   }
   int run(Call& call) override {
     const discovery::Paths paths(root_);
@@ -303,9 +309,10 @@ class RenewRights final : public Verb {
           fmt::format("{} has no master {}; only a master's user may change rights", users_, options_.user));
     }
     const auto done = discovery::renew_rights(
-        options_, paths, [&](std::size_t nodes) { call.err << fmt::format("{} nodes looked at\n", nodes); });
-    const nlohmann::ordered_json answer{
-        {"nodes", done.nodes}, {"changed", done.changed}, {"removed", done.removed}, {"foreign", done.foreign}};
+        options_, paths, [&](std::size_t nodes) { call.err << fmt::format("{} nodes looked at\n", nodes); },
+        close_server_ ? discovery::ServersNodes::closed : discovery::ServersNodes::only_looked_at);
+    const nlohmann::ordered_json answer{{"nodes", done.nodes},     {"changed", done.changed}, {"removed", done.removed},
+                                        {"foreign", done.foreign}, {"open", done.open},       {"seized", done.seized}};
     print(call.out, call.format, {"NODES", "HAD OTHER RIGHTS", "REMOVED", "FOREIGN"},
           {{std::to_string(done.nodes), std::to_string(done.changed), std::to_string(done.removed.size()),
             std::to_string(done.foreign.size())}},
@@ -319,12 +326,27 @@ class RenewRights final : public Verb {
           "another one meanwhile (--driver)\n",
           path, path);
     }
-    return done.foreign.empty() ? exit_ok : exit_failed;
+    if (!done.open.empty()) {
+      call.err << fmt::format(
+          "everybody who reaches ZooKeeper may change {}: make and remove nodes there, or limit by quotas what masters may "
+          "write. --close-server ends that; its help says what it asks of others who use this ZooKeeper\n",
+          fmt::join(done.open, ", "));
+    }
+    for (const auto& path : done.seized) {
+      call.err << fmt::format(
+          "{} has rights that keep this master out. They are those of ZooKeeper's administrator, of the masters of another "
+          "fleet, or of a thief, in which case its superuser gives the node back (setAcl {} world:anyone:cdrwa, then "
+          "this once more)\n",
+          path, path);
+    }
+    const bool closed = !close_server_ || done.seized.empty();
+    return done.foreign.empty() && closed ? exit_ok : exit_failed;
   }
 
  private:
   discovery::RegistryOptions options_;
   std::string password_file_, users_, root_ = "/iot/sensors";
+  bool close_server_ = false;
 };
 
 }  // namespace

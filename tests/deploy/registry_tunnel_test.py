@@ -198,8 +198,8 @@ class Tunnel(unittest.TestCase):
 
     def zookeeper(self, of_an_address):
         """A ZooKeeper of its own. Returns its address."""
-        server = subprocess.Popen(["/usr/bin/python3", SERVERS / "zookeeper.py", "--dir", self.folder / "zookeeper", "--of-an-address",
-                                   of_an_address], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        server = subprocess.Popen(["/usr/bin/python3", SERVERS / "zookeeper.py", "--dir", self.folder / "zookeeper",
+                                   "--setting", f"maxClientCnxns={of_an_address}"], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.addCleanup(server.wait)
         self.addCleanup(server.communicate)
         answer = server.stdout.readline().strip()

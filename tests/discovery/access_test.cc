@@ -1,6 +1,5 @@
 // Access to the nodes that a process created in ZooKeeper: digest authentication.
 #include <algorithm>
-#include <atomic>
 #include <memory>
 #include <stdexcept>
 
@@ -10,6 +9,7 @@
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/tests/discovery/contract_fixture.h>
+#include <iotcloud/tests/discovery/fleet_users.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 
 namespace iotcloud::discovery::tests {
@@ -89,18 +89,12 @@ TEST_P(Access, AWatchOfWhatBelongsToOthersWaitsUntilItMayBeRead) {
 class FleetAccess : public Access {
  protected:
   FleetAccess() {
-    using Role = RegistryUser::Role;
-    // base64 of SHA-1 of "USER:secret of USER"
-    users_ = {{Role::master, "masters", "OMsZ4EHB4vTTDlYF30hOD4UN9Gs="},
-              {Role::gateway, "g1", "0uEjd9Pgjl8v3nhquvFg8rgopuU="},
-              {Role::gateway, "g2", "nnalarx0gGsG9ajZ9zmK5cdN9cc="},
-              {Role::worker, "workers", "D70c15/9OcCuC92fenWl5kJD72g="}};
     use_all_but("");
     registry_->get("/");  // has made what is above the fleet's nodes, for everybody
   }
   /// From now on processes start with this list of users.
   void use_all_but(const std::string& name) {
-    auto users = users_;
+    auto users = fleet_users();
     std::erase_if(users, [&](const RegistryUser& user) { return user.name == name; });
     access_ = std::make_shared<const RegistryAccess>(std::move(users), paths_);
   }
@@ -121,7 +115,7 @@ class FleetAccess : public Access {
     options.url = place_->url() + "/fleet";
     options.operation_timeout = patience;
     options.user = user;
-    options.password = "secret of " + user;
+    options.password = fleet_password(user);
     options.access = access_;
     return options;
   }
@@ -135,7 +129,6 @@ class FleetAccess : public Access {
     put(master, paths_.removal(id, "a"_instance), "removal");
   }
   const Paths paths_;
-  std::vector<RegistryUser> users_;
   std::shared_ptr<const RegistryAccess> access_;
 };
 
@@ -183,39 +176,6 @@ TEST_P(FleetAccess, TheThiefOfOneGatewaysCredentialsReachesThatGatewayOnly) {
   remove_tree(*thief, paths_.instance("turtle"_driver, "g2"_instance));
   EXPECT_EQ(one->get(order)->data, "order");
 }
-
-/// ZooKeeper's own client, as a thief uses it: with rights of its choice on what it makes.
-class BareClient {
- public:
-  BareClient(const std::string& url, const std::string& user) : identity_(user + ":secret of " + user) {
-    zoo_set_debug_level(ZOO_LOG_LEVEL_ERROR);
-    handle_ = zookeeper_init(url.substr(url.find("//") + 2).c_str(), &BareClient::on_event, 20'000, nullptr, this, 0);
-    if (handle_ == nullptr || !eventually([this] { return identified_.load(); }))
-      throw std::runtime_error("no connection to " + url);
-  }
-  ~BareClient() { zookeeper_close(handle_); }
-  BareClient(const BareClient&) = delete;
-  BareClient& operator=(const BareClient&) = delete;
-
-  int create(const std::string& path) {
-    return zoo_create(handle_, path.c_str(), "mine", 4, &ZOO_CREATOR_ALL_ACL, 0, nullptr, 0);
-  }
-  /// Makes a node that everybody may use its own.
-  int seize(const std::string& path) { return zoo_set_acl(handle_, path.c_str(), -1, &ZOO_CREATOR_ALL_ACL); }
-
- private:
-  static void on_event(zhandle_t* handle, int type, int state, const char* /*path*/, void* self) {
-    auto* const client = static_cast<BareClient*>(self);
-    if (type != ZOO_SESSION_EVENT || state != ZOO_CONNECTED_STATE || client->identified_) return;
-    const std::string& identity = client->identity_;
-    zoo_add_auth(handle, "digest", identity.data(), static_cast<int>(identity.size()), nullptr, nullptr);
-    client->identified_ = true;
-  }
-
-  const std::string identity_;
-  std::atomic<bool> identified_{false};
-  zhandle_t* handle_ = nullptr;
-};
 
 TEST_P(FleetAccess, TheThiefOfAGatewaySeizesNoNodeOfOthersByTheBareClient) {
   const auto master = started_master();

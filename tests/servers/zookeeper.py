@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """A private ZooKeeper for tests and demos, on loopback only, that leaves nothing behind.
 
-    zookeeper.py --dir DIR [--port N] [--steady] [--of-an-address N]
+    zookeeper.py --dir DIR [--port N] [--steady] [--setting LINE]...
 
 Runs one server from Debian's jars with its data and log below DIR, on a free port. When it answers requests it prints
 one line on stdout:
@@ -39,8 +39,8 @@ STEADY = ["-Xms768m", "-Xmx768m", "-Xmn32m"]
 class ZooKeeper(private_server.Server):
     name = "ZooKeeper"  # it has a write-ahead log, so nothing is lost when it is killed
 
-    def __init__(self, folder, port=None, ensemble_settings=(), jvm=QUICK_START, of_an_address=0):
-        """ensemble_settings: lines of the configuration, for a server of an ensemble."""
+    def __init__(self, folder, port=None, settings=(), jvm=QUICK_START):
+        """settings: further lines of the configuration."""
         super().__init__(folder)
         self.jvm = jvm
         self.port = port or private_server.free_ports(1)[0]
@@ -49,7 +49,7 @@ class ZooKeeper(private_server.Server):
             # Sessions expire in steps of tickTime.
             "tickTime=200", "initLimit=50", "syncLimit=25", "minSessionTimeout=400", "maxSessionTimeout=60000",
             "dataDir=" + self.path("data"), "clientPortAddress=127.0.0.1", "clientPort=%d" % self.port,
-            "maxClientCnxns=%d" % of_an_address, "admin.enableServer=false", "4lw.commands.whitelist=srvr", *ensemble_settings])
+            "maxClientCnxns=0", "admin.enableServer=false", "4lw.commands.whitelist=srvr", *settings])
 
     def command(self):
         jars = [os.path.join(JARS, name + ".jar") for name in CLASS_PATH]
@@ -90,9 +90,9 @@ def main():
     parser.add_argument("--port", type=int, default=0, help="client port; default: a free one")
     parser.add_argument("--steady", dest="jvm", action="store_const", const=STEADY, default=QUICK_START,
                         help="for benchmarks: more memory, so that it never stops for long")
-    parser.add_argument("--of-an-address", type=int, default=0, help="connections that one address may have; 0: any number")
+    parser.add_argument("--setting", action="append", default=[], metavar="LINE", help="a line of its configuration")
     given = parser.parse_args()
-    private_server.run(lambda: ZooKeeper(given.dir, given.port, jvm=given.jvm, of_an_address=given.of_an_address))
+    private_server.run(lambda: ZooKeeper(given.dir, given.port, given.setting, jvm=given.jvm))
 
 
 if __name__ == "__main__":
