@@ -265,6 +265,9 @@ struct Tls {
   std::string ca_file;           ///< whom to trust; empty: the system's authorities
   std::string certificate_file;  ///< the client's own; empty: none
   std::string key_file;
+  /// Servers whose certificates are on this list (lists of revocations, one for each authority) get no password; empty:
+  /// no such list.
+  std::string revoked_file{};
   friend bool operator==(const Tls&, const Tls&) = default;
 };
 

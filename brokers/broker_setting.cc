@@ -11,6 +11,7 @@ Tls read_tls(config::YamlSection section) {
   tls.ca_file = section.string_or("ca", "");
   tls.certificate_file = section.string_or("certificate", "");
   tls.key_file = section.string_or("key", "");
+  tls.revoked_file = section.string_or("revoked", "");
   if (tls.certificate_file.empty() != tls.key_file.empty()) {
     section.refuse("", "a client certificate needs both \"certificate\" and \"key\"", "give both, or none");
   }
@@ -59,7 +60,8 @@ std::map<std::string, std::string> files_of(const BrokerOptions& options) {
   std::map<std::string, std::string> files = {{"password_file", options.password_file},
                                               {"tls.ca", options.tls.ca_file},
                                               {"tls.certificate", options.tls.certificate_file},
-                                              {"tls.key", options.tls.key_file}};
+                                              {"tls.key", options.tls.key_file},
+                                              {"tls.revoked", options.tls.revoked_file}};
   const auto of_reader = options.properties.find("reader_password_file");
   if (of_reader != options.properties.end()) files["properties.reader_password_file"] = of_reader->second;
   std::erase_if(files, [](const auto& named) { return named.second.empty(); });

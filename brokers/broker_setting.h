@@ -17,7 +17,7 @@ struct BrokerSetting {
 };
 
 /// Reads a broker's connection options from a section of YAML: `urls`, `user`, `password_file`, `password_variable`,
-/// `tls: {ca, certificate, key}`, `heartbeat`, `properties`. The caller reads its own keys and finishes the section.
+/// `tls: {ca, certificate, key, revoked}`, `heartbeat`, `properties`. The caller reads its own keys and finishes the section.
 /// `urls` may be missing.
 /// \param session_timeout of the registry: the broker must notice a dead reader before the registry names another one,
 /// so the heartbeat is at most half of it.

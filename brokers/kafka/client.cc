@@ -73,6 +73,7 @@ Settings common_settings(const KafkaOptions& options) {
   if (!files.ca_file.empty()) settings["ssl.ca.location"] = files.ca_file;
   if (!files.certificate_file.empty()) settings["ssl.certificate.location"] = files.certificate_file;
   if (!files.key_file.empty()) settings["ssl.key.location"] = files.key_file;
+  if (!files.revoked_file.empty()) settings["ssl.crl.location"] = files.revoked_file;
   return settings;
 }
 

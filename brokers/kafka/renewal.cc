@@ -10,7 +10,7 @@ namespace iotcloud::brokers::kafka {
 Renewal::Renewal(const KafkaOptions& options, Make make) : options_(options), make_(std::move(make)) {}
 
 std::shared_ptr<KafkaClient> Renewal::client() {
-  if (next_ && next_->connected()) {
+  if (next_ && next_may_take_over()) {
     logger.info("{}: a client with the renewed TLS files takes over", printable_url(options_.broker.urls.front()));
     used_ = std::exchange(of_next_, {});
     return std::exchange(next_, nullptr);
@@ -28,12 +28,17 @@ bool Renewal::ready(Instant now) {
   }
   if (!next_) return false;
   serve_events();
-  return next_->connected();
+  return next_may_take_over();
+}
+
+bool Renewal::next_may_take_over() const {
+  return next_->connected() || of_next_.back() != used_.back();
 }
 
 Renewal::Mark Renewal::mark() const {
   const Tls& files = options_.broker.tls;
-  return {config::stamp_of(files.ca_file), config::stamp_of(files.certificate_file), config::stamp_of(files.key_file)};
+  return {config::stamp_of(files.ca_file), config::stamp_of(files.certificate_file), config::stamp_of(files.key_file),
+          config::stamp_of(files.revoked_file)};
 }
 
 void Renewal::look() {
@@ -72,7 +77,7 @@ void Renewal::serve_events() {
 void Renewal::complain(const std::string& why) {
   if (!complaints_.insert(why).second) return;
   logger.warn(
-      "{}: the renewed TLS files (tls.ca, tls.certificate, tls.key) are of no use yet: {}; going on with those "
+      "{}: the renewed TLS files (tls.ca, tls.certificate, tls.key, tls.revoked) are of no use yet: {}; going on with those "
       "from before",
       printable_url(options_.broker.urls.front()), why);
 }

@@ -13,9 +13,11 @@
 
 namespace iotcloud::brokers::kafka {
 
-/// Follows the files of certificates, key and authorities that a client was made with. The library reads them only when
-/// it makes a client, so once they have changed another client must take over: this class makes it, and offers it when
-/// a server has let it in. Until then, and if the new files are of no use, the present client goes on. Not thread safe.
+/// Follows the files of certificates, key, authorities and revocations that a client was made with. The library reads
+/// them only when it makes a client, so once they have changed another client must take over: this class makes it, and
+/// offers it when a server has let it in. Until then, and if the new files are of no use, the present client goes on;
+/// but with another list of revocations it is offered at once, because the present one may have a server that is on it.
+/// Not thread safe.
 class Renewal {
  public:
   using Instant = config::Clock::Instant;
@@ -37,12 +39,13 @@ class Renewal {
   /// after the other.
   static constexpr std::chrono::milliseconds look_period{1000};
 
-  using Mark = std::array<config::FileStamp, 3>;
+  using Mark = std::array<config::FileStamp, 4>;  ///< the list of revocations is the last
   Mark mark() const;
   void look();
   void make_next(const Mark& mark);
   void serve_events();
   void complain(const std::string& why);
+  bool next_may_take_over() const;
 
   const KafkaOptions& options_;
   const Make make_;

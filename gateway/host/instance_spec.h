@@ -31,6 +31,7 @@ struct BrokerPlan {
       IOTCLOUD_FIELD_AS(options.tls.ca_file, required, "ca", ca),
       IOTCLOUD_FIELD_AS(options.tls.certificate_file, required, "certificate", certificate),
       IOTCLOUD_FIELD_AS(options.tls.key_file, required, "key", key),
+      IOTCLOUD_FIELD_AS(options.tls.revoked_file, rare, "revoked", revoked),
       IOTCLOUD_FIELD_AS(options.properties, required, "properties", properties),
       IOTCLOUD_FIELD_AS(options.heartbeat, required, "heartbeat_ms", heartbeatMs),
       IOTCLOUD_FIELD_AS(exclusive_urls, required, "own", own),

@@ -50,11 +50,12 @@ class File {
 TEST(BrokerSetting, ReadsWhatConnectingTakes) {
   const File file("x");
   const auto options = read("urls: [\"amqps://a/\", \"amqps://b/\"]\nuser: robot\npassword_file: " + file.path() +
-                            "\ntls: {ca: " + file.path() + "}\nheartbeat: 2s\nproperties: {queue_type: quorum}\n");
+                            "\ntls: {ca: " + file.path() + ", revoked: " + file.path() + "}\nheartbeat: 2s\nproperties: {queue_type: quorum}\n");
   EXPECT_EQ(options.urls.size(), 2U);
   EXPECT_EQ(options.user, "robot");
   EXPECT_EQ(options.password_file, file.path());
   EXPECT_EQ(options.tls.ca_file, file.path());
+  EXPECT_EQ(options.tls.revoked_file, file.path());
   EXPECT_EQ(options.heartbeat, 2s);
   EXPECT_EQ(options.properties.at("queue_type"), "quorum");
 }
@@ -72,6 +73,7 @@ TEST(BrokerSetting, SaysWhatIsWrongAndWhere) {
   EXPECT_THAT(error_of("password_file: /none/such"), HasSubstr("/none/such"));
   EXPECT_THAT(error_of("user: u\ntls:\n  ca: /none/such"),
               AllOf(HasSubstr("broker.yaml:3"), HasSubstr("tls.ca"), HasSubstr("/none/such")));
+  EXPECT_THAT(error_of("tls: {revoked: /none/such}"), AllOf(HasSubstr("tls.revoked"), HasSubstr("/none/such")));
   EXPECT_THAT(error_of("user: u\nproperties:\n  reader: r\n  reader_password_file: /none/such"),
               AllOf(HasSubstr("broker.yaml:4"), HasSubstr("reader_password_file"), HasSubstr("/none/such")));
   const File file("x");

@@ -35,12 +35,15 @@ struct Secured {
   std::string on_missing_authorities;
   /// The text for an unusable certificate or key.
   std::string on_unusable_key;
+  /// The text for a list of revocations that is none.
+  std::string on_list_of_another_kind;
   friend void PrintTo(const Secured& kind, std::ostream* out) { *out << kind.name; }
 };
 
-const Secured kinds[] = {{"rabbitmq", "ACCESS_REFUSED", "certificate", "no-such.pem", "client.pem"},
-                         {"kafka", "cannot connect", "cannot connect", "ca.location", "key"},
-                         {"activemq", "cannot connect", "certificate", "cannot connect", "cannot connect"}};
+const Secured kinds[] = {
+    {"rabbitmq", "ACCESS_REFUSED", "certificate", "no-such.pem", "client.pem", "list of revoked certificates"},
+    {"kafka", "cannot connect", "cannot connect", "ca.location", "key", "cannot connect"},
+    {"activemq", "cannot connect", "certificate", "cannot connect", "cannot connect", "list of revoked certificates"}};
 
 std::size_t count(const std::string& text, const std::string& word) {
   std::size_t found = 0;
@@ -96,6 +99,23 @@ class BrokerSecurity : public testing::TestWithParam<Secured> {
       EXPECT_EQ(broker->state(), ConnectionState::connecting);
     }
     return log.text();
+  }
+
+  static void run_python(const std::string& program) {
+    const std::string command =
+        "/usr/bin/python3 -c '" + program + "' '" IOTCLOUD_TEST_SERVERS "' '" + server_->folder().string() + "'";
+    ASSERT_EQ(std::system(command.c_str()), 0);
+  }
+  /// What the authority has revoked from now on, in the file that options_with_list() name: `names`, quoted.
+  static void revoke(const std::string& names) {
+    run_python(
+        "import sys; sys.path.insert(0, sys.argv[1]); import certificates; certificates.Certificates(sys.argv[2]).revoke(" +
+        names + ")");
+  }
+  static BrokerOptions options_with_list() {
+    BrokerOptions with_list = options();
+    with_list.tls.revoked_file = file("revoked.pem");
+    return with_list;
   }
 
   static std::unique_ptr<tests::PrivateServer> server_;
@@ -218,6 +238,37 @@ TEST_P(BrokerSecurity, WithoutAClientCertificateNobodyGetsIn) {
   EXPECT_EQ(count(said, "cannot connect"), 1U) << said;
 }
 
+TEST_P(BrokerSecurity, AServerWhoseCertificateIsRevokedGetsNoPassword) {
+  revoke("\"server\"");
+  EXPECT_TRUE(gets_in(*make_broker(options()))) << "the attack, with a client that has no list";
+  complaint(options_with_list(), GetParam().on_unknown_authority);
+  revoke("\"client\"");
+  EXPECT_TRUE(gets_in(*make_broker(options_with_list()))) << "another's";
+}
+
+TEST_P(BrokerSecurity, AServerThatIsRevokedMeanwhileIsLeftAtTheNextConnectionWithoutARestart) {
+  revoke("");
+  const tests::CapturedLog log;
+  const auto broker = make_broker(options_with_list());
+  Topic durable = topic();
+  durable.durable = true;
+  durable.exchange = "tls_durable";
+  Inbox inbox;
+  const auto subscription = broker->subscribe(durable, {}, inbox.handler());
+  const auto publisher = broker->publisher(durable, {});
+  publisher->publish(text_message("1"));
+  ASSERT_TRUE(inbox.wait_for(1));
+  server_->kill();
+  revoke("\"server\"");
+  server_->start();
+  publisher->publish(text_message("2"));
+  EXPECT_TRUE(eventually([&] { return log.contains(GetParam().on_unknown_authority); })) << log.text();
+  EXPECT_FALSE(publisher->drain(std::chrono::seconds(2)));
+  EXPECT_EQ(broker->state(), ConnectionState::connecting);
+  revoke("");
+  EXPECT_TRUE(inbox.wait_until([](const auto& received) { return received.back().body == "2"; }));
+}
+
 TEST_P(BrokerSecurity, FilesThatCannotBeUsedAreNamed) {
   BrokerOptions missing = options();
   missing.tls.ca_file = file("no-such.pem");
@@ -225,6 +276,9 @@ TEST_P(BrokerSecurity, FilesThatCannotBeUsedAreNamed) {
   missing = options();
   missing.tls.key_file = file("ca.pem");
   complaint(missing, GetParam().on_unusable_key);
+  missing = options();
+  missing.tls.revoked_file = file("ca.pem");
+  complaint(missing, GetParam().on_list_of_another_kind);
   missing = options();
   missing.password_file = file("no-such-password");
   complaint(missing, "no-such-password");
@@ -266,11 +320,6 @@ class BrokerRenewal : public BrokerSecurity {
   }
   static void take(const char* from, const char* to) {
     std::filesystem::copy_file(file(from), file(to), std::filesystem::copy_options::overwrite_existing);
-  }
-  static void run_python(const std::string& program) {
-    const std::string command =
-        "/usr/bin/python3 -c '" + program + "' '" IOTCLOUD_TEST_SERVERS "' '" + server_->folder().string() + "'";
-    ASSERT_EQ(std::system(command.c_str()), 0);
   }
   static bool has_after(Inbox& inbox, int number) {
     return inbox.wait_until(
@@ -373,6 +422,24 @@ TEST_P(KafkaRenewal, OpenConnectionsAreReplacedWithoutARestartOfTheServer) {
   const int before = sent;
   ASSERT_TRUE(flows_until([&] { return sent >= before + 100; }));
   EXPECT_TRUE(inbox.bodies() == numbered(1, sent)) << "lost, twice or out of order";
+}
+
+TEST_P(KafkaRenewal, OpenConnectionsToAServerThatIsRevokedEnd) {
+  revoke("");
+  tests::CapturedLog log;
+  const auto broker = make_broker(options_with_list());
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  publisher->publish(text_message("1"));
+  ASSERT_TRUE(inbox.wait_for(1));
+  revoke("\"server\"");
+  ASSERT_TRUE(eventually([&] { return broker->state() == ConnectionState::connecting; })) << log.text();
+  publisher->publish(text_message("2"));
+  EXPECT_FALSE(publisher->drain(std::chrono::seconds(2)));
+  revoke("");
+  EXPECT_TRUE(inbox.wait_until([](const auto& received) { return received.back().body == "2"; }));
+  EXPECT_EQ(firsts(inbox), numbered(1, 2));
 }
 
 TEST_P(KafkaRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates) {

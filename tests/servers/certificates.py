@@ -50,6 +50,21 @@ class Certificates:
         self.run("openssl", "x509", "-req", "-in", name + ".csr", "-CA", "ca.pem", "-CAkey", "ca.key",
                  "-CAcreateserial", "-days", "2", "-extfile", name + ".ext", "-out", name + ".pem")
 
+    def revoke(self, *names):
+        """revoked.pem: the authority's list, with the certificates of these and no others on it."""
+        self.write("index.txt", "")
+        self.write("list.cnf", "[ca]\ndefault_ca=list\n[list]\ndatabase=index.txt\ndefault_md=sha256\n"
+                   "default_crl_days=2\n")
+        authority = ["openssl", "ca", "-config", "list.cnf", "-cert", "ca.pem", "-keyfile", "ca.key"]
+        for name in names:
+            self.run(*authority, "-revoke", name + ".pem")
+        self.run(*authority, "-gencrl", "-out", "revoked.new")
+        os.replace(self.path("revoked.new"), self.path("revoked.pem"))
+
+    def write(self, name, text):
+        with open(self.path(name), "w", encoding="ascii") as file:
+            file.write(text)
+
     def key_store(self):
         """PKCS #12 with the server's key; its password is STORE_PASSWORD."""
         self.run("openssl", "pkcs12", "-export", "-in", "server.pem", "-inkey", "server.key", "-certfile", "ca.pem",

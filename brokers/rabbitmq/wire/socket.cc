@@ -6,6 +6,8 @@
 #include <openssl/ssl.h>
 
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include "iotcloud/brokers/revocation.h"
+#include <iotcloud/config/error.h>
 
 namespace iotcloud::brokers::rabbitmq {
 namespace {
@@ -38,7 +40,8 @@ const char* explain(int status) {
     case AMQP_STATUS_TIMEOUT:
       return "no answer in time";
     case AMQP_STATUS_SSL_PEER_VERIFY_FAILED:
-      return "the server's certificate is of no authority that is trusted here; see tls.ca";
+      return "the server's certificate is of no authority that is trusted here (see tls.ca), or it has expired, or is "
+             "revoked, or its authority has no list that holds now in tls.revoked";
     case AMQP_STATUS_SSL_HOSTNAME_VERIFY_FAILED:
       return "the server's certificate is for another host name than the URL's";
     case AMQP_STATUS_SSL_CONNECTION_FAILED:
@@ -70,6 +73,12 @@ amqp_socket_t* make_socket(amqp_connection_state_t state, const BrokerUrl& url, 
     unusable(
         "client certificate", tls.certificate_file,
         fmt::format("it and its key \"{}\" must be readable, in PEM form, and belong together", tls.key_file).c_str());
+  }
+  try {
+    if (!tls.revoked_file.empty())
+      refuse_revoked(static_cast<SSL_CTX*>(amqp_ssl_socket_get_context(socket)), tls.revoked_file);
+  } catch (const config::Error& error) {
+    throw LinkError(error.what());
   }
   return socket;
 }
