@@ -26,8 +26,11 @@ using Json = nlohmann::ordered_json;
 /// Limits the refusals of one identity that are written: so many at once, and then one more in each period.
 constexpr double refusals_at_once = 20;
 constexpr std::chrono::seconds refusal_period{3};
-/// When there are more identities than this, the others share one allowance.
+/// When there are more names, or more hosts without a name, than this at a time, the others of that kind share one
+/// allowance.
 constexpr std::size_t most_identities = 256;
+/// Their place among the identities; no name and no host has a line feed.
+constexpr const char* the_others = "\n";
 constexpr std::size_t chunk = std::size_t{64} * 1024;
 
 config::Error error_about(const std::string& file, const std::string& why) {
@@ -136,14 +139,13 @@ AuditLog::AuditLog(AuditSettings settings, Sync sync, const config::Clock& clock
 }
 
 AuditLog::~AuditLog() {
-  std::map<std::string, Allowance> refusals;
   {
     const config::MutexLock lock(mutex_);
-    refusals.swap(refusals_);
+    for (auto* identities : {&named_, &strangers_}) {
+      for (const auto& [identity, allowance] : std::exchange(identities->allowances, {})) tell_of_unwritten(allowance);
+    }
   }
-  for (auto& [identity, allowance] : refusals) {
-    if (allowance.unwritten > 0) write_lines({text_of(allowance.last, allowance.unwritten - 1)});
-  }
+  write_lines({});
   const config::MutexLock lock(mutex_);
   close_files(files_);
 }
@@ -230,15 +232,18 @@ void AuditLog::write_all(const std::vector<Counted>& lines) {
 
 /// Counts a refusal of its identity. \return how many refusals before it have no line; nullopt: nor does this one.
 std::optional<std::uint64_t> AuditLog::due(const AuditEntry& refused) {
-  std::string identity =
-      !refused.who.empty() ? refused.who : "@" + refused.address.substr(0, refused.address.rfind(':'));
+  std::string identity = !refused.who.empty() ? refused.who : refused.address.substr(0, refused.address.rfind(':'));
   const auto now = clock_.now();
   const config::MutexLock lock(mutex_);
-  if (refusals_.size() >= most_identities && !refusals_.contains(identity)) identity.clear();
-  const auto [at, fresh] = refusals_.try_emplace(identity, Allowance{refusals_at_once, now, 0, {}});
+  Identities& identities = refused.who.empty() ? strangers_ : named_;
+  auto& allowances = identities.allowances;
+  if (allowances.size() >= most_identities && !allowances.contains(identity)) {
+    forget_full(identities, now);
+    if (allowances.size() >= most_identities) identity = the_others;
+  }
+  const auto [at, fresh] = allowances.try_emplace(identity, Allowance{refusals_at_once, now, 0, {}});
   auto& allowance = at->second;
-  const std::chrono::duration<double> passed = now - allowance.since;
-  allowance.left = std::min(refusals_at_once, allowance.left + passed / refusal_period);
+  allowance.left = left_at(allowance, now);
   allowance.since = now;
   if (allowance.left < 1) {
     ++allowance.unwritten;
@@ -247,6 +252,27 @@ std::optional<std::uint64_t> AuditLog::due(const AuditEntry& refused) {
   }
   allowance.left -= 1;
   return std::exchange(allowance.unwritten, 0);
+}
+
+double AuditLog::left_at(const Allowance& allowance, config::Clock::Instant now) {
+  const std::chrono::duration<double> passed = now - allowance.since;
+  return std::min(refusals_at_once, allowance.left + passed / refusal_period);
+}
+
+/// Forgets identities whose allowance is full again, as it would be if they came for the first time.
+void AuditLog::forget_full(Identities& identities, config::Clock::Instant now) {
+  if (now < identities.look_again) return;
+  identities.look_again = now + refusal_period;  // whoever comes without end does not make this look each time
+  std::erase_if(identities.allowances, [&](const auto& entry) IOTCLOUD_REQUIRES(mutex_) {
+    const bool full = left_at(entry.second, now) >= refusals_at_once;
+    if (full) tell_of_unwritten(entry.second);
+    return full;
+  });
+}
+
+/// The next lines that are written have this one before them, if there is something to tell.
+void AuditLog::tell_of_unwritten(const Allowance& allowance) {
+  if (allowance.unwritten > 0) overdue_.push_back(text_of(allowance.last, allowance.unwritten - 1));
 }
 
 /// The line of an entry, without its place in the chain.
@@ -270,6 +296,7 @@ std::string AuditLog::text_of(const AuditEntry& entry, std::uint64_t unwritten) 
 bool AuditLog::write_lines(std::vector<std::string> texts) {
   const config::MutexLock lock(mutex_);
   const std::uint64_t before = taken_;
+  for (auto& text : std::exchange(overdue_, {})) lines_.push_back({std::move(text), ++taken_});
   for (auto& text : texts) lines_.push_back({std::move(text), ++taken_});
   const std::uint64_t last = taken_;
   while (done_ < last) {

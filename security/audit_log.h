@@ -112,11 +112,20 @@ class AuditLog {
     std::uint64_t unwritten = 0;
     AuditEntry last;  ///< the last one that was not written
   };
+  /// Those with a name and those without one are counted apart: however many hosts a stranger has, they take no name's
+  /// place.
+  struct Identities {
+    std::map<std::string, Allowance> allowances;
+    config::Clock::Instant look_again;  ///< when allowances that are full may be looked for next
+  };
 
   static Files open_files(const std::string& file);
   static void close_files(const Files& files);
   AuditHead end_of_chain(const Files& files) const;
   std::optional<std::uint64_t> due(const AuditEntry& refused) IOTCLOUD_EXCLUDES(mutex_);
+  static double left_at(const Allowance& allowance, config::Clock::Instant now);
+  void forget_full(Identities& identities, config::Clock::Instant now) IOTCLOUD_REQUIRES(mutex_);
+  void tell_of_unwritten(const Allowance& allowance) IOTCLOUD_REQUIRES(mutex_);
   std::string text_of(const AuditEntry& entry, std::uint64_t unwritten) const;
   bool write_lines(std::vector<std::string> texts) IOTCLOUD_EXCLUDES(mutex_);
   void write_waiting() IOTCLOUD_REQUIRES(mutex_);
@@ -136,7 +145,9 @@ class AuditLog {
   std::uint64_t done_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
   std::set<std::uint64_t> failed_ IOTCLOUD_GUARDED_BY(mutex_);  ///< lines that could not be written, until told
   AuditHead head_;  ///< the last line of the file; used by the thread that set `writing_`
-  std::map<std::string, Allowance> refusals_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by identity
+  Identities named_ IOTCLOUD_GUARDED_BY(mutex_);
+  Identities strangers_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::vector<std::string> overdue_ IOTCLOUD_GUARDED_BY(mutex_);  ///< tell_of_unwritten()
 };
 
 }  // namespace iotcloud::security

@@ -193,5 +193,44 @@ TEST_F(AuditLogTest, AFloodOfRefusalsOfOneIdentityFillsNoDiskAndIsCounted) {
   EXPECT_EQ(lines(), 2u * written + 1 + 2);
 }
 
+TEST_F(AuditLogTest, AStrangerWithManyAddressesTakesNoViewersAllowanceAndKeepsItsOwnOnesOnlyWhileItGoesOn) {
+  const AClock clock;
+  log_.emplace(
+      AuditSettings{file(), {}}, [&](int) { return ++syncs_ > 0; }, clock);
+  const auto stranger = [](int host) {
+    AuditEntry entry = order("");
+    entry.address = "192.0." + std::to_string(host / 250) + "." + std::to_string(host % 250) + ":1000";
+    return entry;
+  };
+  const auto viewer = [](const std::string& name) {
+    AuditEntry entry = order("");
+    entry.who = name;
+    return entry;
+  };
+  constexpr int hosts = 400, each = 30;
+  for (int host = 0; host < hosts; ++host) {
+    for (int i = 0; i < each; ++i) log_->write_refused(stranger(host));
+  }
+  for (const std::string name : {"vera", "victor"}) {
+    for (int i = 0; i < 20; ++i) ASSERT_TRUE(log_->write_refused(viewer(name))) << name << " has one of its own, " << i;
+    EXPECT_FALSE(log_->write_refused(viewer(name)));
+  }
+  const auto at_once = lines();
+  EXPECT_LT(at_once, 257u * 20 + 41) << "the rest of the hosts share one";
+  EXPECT_FALSE(log_->write_refused(stranger(hosts + 1)));
+
+  clock.time += std::chrono::seconds(60);
+  for (const int host : {hosts + 1, hosts + 2}) {
+    for (int i = 0; i < 20; ++i) EXPECT_TRUE(log_->write_refused(stranger(host))) << "a new host has its own again";
+    EXPECT_FALSE(log_->write_refused(stranger(host)));
+  }
+  const std::string all = text();
+  std::uint64_t told = 0;
+  for (auto at = all.find("\"unwritten\":"); at != std::string::npos; at = all.find("\"unwritten\":", at + 1))
+    told += 1 + std::stoull(all.substr(at + 12));
+  EXPECT_EQ(told, hosts * each + 1 - 257u * 20) << "what had no line, once its host is forgotten";
+  log_.reset();  // before its clock
+}
+
 }  // namespace
 }  // namespace iotcloud::security
