@@ -1,4 +1,5 @@
-// Orders, and removals of orders, with a master's signature, as they stand in the registry. The first byte chooses:
+// Orders, their removals, submissions, adoptions and marks of draining, with a master's signature, as they stand in the
+// registry. The first byte chooses:
 // what anybody wrote there, or an object that the master signed and that is then moved, changed or cut.
 #include <filesystem>
 #include <string>
@@ -7,7 +8,9 @@
 #include <stdlib.h>
 
 #include "iotcloud/config/error.h"
+#include "iotcloud/discovery/freeze.h"
 #include "iotcloud/discovery/records.h"
+#include "iotcloud/discovery/submissions.h"
 #include "iotcloud/security/signed_object.h"
 #include "iotcloud/tests/fuzz/bytes.h"
 #include "iotcloud/tests/fuzz/fuzz_target.h"
@@ -69,6 +72,17 @@ void reads_the_same(const std::string& object, const std::string& bytes,
   fuzz::must(plain.empty() || plain == read(bytes, decode), "a signed record is read as it was before");
 }
 
+/// Calls `use` with the reader of everything that masters sign.
+template <typename Use>
+void each_reader(const Use& use) {
+  use(discovery::decode_order);
+  use(discovery::decode_removal);
+  use(discovery::decode_topology_order);
+  use(discovery::decode_submission);
+  use(discovery::decode_adoption);
+  use(discovery::decode_drain);
+}
+
 }  // namespace
 
 IOTCLOUD_FUZZ_TARGET(signed_orders, 1'500) {
@@ -76,9 +90,7 @@ IOTCLOUD_FUZZ_TARGET(signed_orders, 1'500) {
   const std::string bytes(fuzz::text(data + 1, size - 1));
   if (*data % 2 == 0) {
     fuzz::must(signer(place, bytes).empty(), "what the master did not sign has no signature");
-    read(bytes, discovery::decode_order);
-    read(bytes, discovery::decode_removal);
-    read(bytes, discovery::decode_topology_order);
+    each_reader([&](auto decode) { read(bytes, decode); });
     return;
   }
   const std::string object = bytes.substr(1);
@@ -92,7 +104,5 @@ IOTCLOUD_FUZZ_TARGET(signed_orders, 1'500) {
   fuzz::must(
       signer(place, with_signature.substr(0, with_signature.size() - 1 - data[1] % with_signature.size())).empty(),
       "nor is what was cut");
-  reads_the_same(object, with_signature, discovery::decode_order);
-  reads_the_same(object, with_signature, discovery::decode_removal);
-  reads_the_same(object, with_signature, discovery::decode_topology_order);
+  each_reader([&](auto decode) { reads_the_same(object, with_signature, decode); });
 }

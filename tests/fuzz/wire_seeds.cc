@@ -10,7 +10,9 @@
 #include <sys/socket.h>
 #include <sys/un.h>
 
+#include "iotcloud/discovery/freeze.h"
 #include "iotcloud/discovery/records.h"
+#include "iotcloud/discovery/submissions.h"
 #include "iotcloud/gateway/host/protocol.h"
 #include "iotcloud/processes/connector_request.h"
 #include "iotcloud/processes/starter_protocol.h"
@@ -153,6 +155,13 @@ SeedsOfTarget signed_orders() {
   discovery::TopologyOrder topology;
   topology.revision = 3;
   topology.parallelism = {{"decode", 2}};
+  discovery::Submission submission;
+  submission.name = discovery::TopologyName("mirror");
+  submission.workers = 2;
+  submission.version.number = 3;
+  submission.given_ms = order.given_ms;
+  discovery::DrainRecord drain;
+  drain.epoch = 7;
   const std::string removal = encode(discovery::OrderRemoval{order.instance, 7, order.given_ms});
   const std::string foreign = R"(,"signature":")" + std::string(128, 'a') + "\"}";
   return {{"stored", '\0' + encode(order)},
@@ -162,6 +171,10 @@ SeedsOfTarget signed_orders() {
           {"order", "\1\7" + encode(order)},
           {"removal", "\1\x20" + removal},
           {"topology_order", "\1\x01" + encode(topology)},
+          {"submission", "\1\x11" + encode(submission)},
+          {"stored_submission", '\0' + encode(submission)},
+          {"adoption", "\1\x02" + encode(discovery::Adoption{"5f0e", 7})},
+          {"drain", "\1\x03" + encode(drain)},
           {"signed_twice", "\1\x40" + removal.substr(0, removal.size() - 1) + foreign},
           {"no_keys", std::string("\1\0", 2) + "{}"}};
 }
