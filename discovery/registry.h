@@ -176,14 +176,14 @@ struct RenewedRights {
 };
 /// What renew_rights() does about nodes that ZooKeeper has from its beginning: `/`, `/zookeeper` and, with all below,
 /// `/zookeeper/quota`. Whoever reaches the server may make nodes there and set quotas, until somebody takes these
-/// rights away. Afterwards only masters may, so others who make nodes at the top must have their own by then, as a chroot.
+/// rights away. Afterwards only masters may, so others who make nodes at the top must have their own by then, as a
+/// chroot.
 enum class ServersNodes { only_looked_at, closed };
 /// Gives all nodes of a fleet in ZooKeeper the rights that `options.access` says now: a node keeps those of its
 /// creation until somebody does, so a user that was added later may not enter, and one that was removed still may.
 /// Makes the branches that are missing.
-/// Waits for the registry's answers. A second run goes on where one ended early. The last thing it does is what `servers`
-/// says.
-/// \param options a master's, with user and access. \param progress called now and then; may be empty.
+/// Waits for the registry's answers. A second run goes on where one ended early. The last thing it does is what
+/// `servers` says. \param options a master's, with user and access. \param progress called now and then; may be empty.
 /// \throws config::Error when the registry does not answer, or does not let this user change a node's rights; for an
 /// embedded registry, which has no rights
 RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,

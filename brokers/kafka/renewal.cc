@@ -77,7 +77,8 @@ void Renewal::serve_events() {
 void Renewal::complain(const std::string& why) {
   if (!complaints_.insert(why).second) return;
   logger.warn(
-      "{}: the renewed TLS files (tls.ca, tls.certificate, tls.key, tls.revoked) are of no use yet: {}; going on with those "
+      "{}: the renewed TLS files (tls.ca, tls.certificate, tls.key, tls.revoked) are of no use yet: {}; going on with "
+      "those "
       "from before",
       printable_url(options_.broker.urls.front()), why);
 }

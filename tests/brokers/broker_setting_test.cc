@@ -50,7 +50,8 @@ class File {
 TEST(BrokerSetting, ReadsWhatConnectingTakes) {
   const File file("x");
   const auto options = read("urls: [\"amqps://a/\", \"amqps://b/\"]\nuser: robot\npassword_file: " + file.path() +
-                            "\ntls: {ca: " + file.path() + ", revoked: " + file.path() + "}\nheartbeat: 2s\nproperties: {queue_type: quorum}\n");
+                            "\ntls: {ca: " + file.path() + ", revoked: " + file.path() +
+                            "}\nheartbeat: 2s\nproperties: {queue_type: quorum}\n");
   EXPECT_EQ(options.urls.size(), 2U);
   EXPECT_EQ(options.user, "robot");
   EXPECT_EQ(options.password_file, file.path());

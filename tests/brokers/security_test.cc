@@ -109,7 +109,8 @@ class BrokerSecurity : public testing::TestWithParam<Secured> {
   /// What the authority has revoked from now on, in the file that options_with_list() name: `names`, quoted.
   static void revoke(const std::string& names) {
     run_python(
-        "import sys; sys.path.insert(0, sys.argv[1]); import certificates; certificates.Certificates(sys.argv[2]).revoke(" +
+        "import sys; sys.path.insert(0, sys.argv[1]); import certificates; "
+        "certificates.Certificates(sys.argv[2]).revoke(" +
         names + ")");
   }
   static BrokerOptions options_with_list() {

@@ -98,8 +98,8 @@ TEST_F(ServersOwnNodes, AreChangedByADriverHostWithoutACredentialUntilTheyAreClo
   BareClient thief(server_.url(), "g2");
   BareClient worker(server_.url(), "workers");
   for (BareClient* stranger : {&again, &thief, &worker}) {
-    for (const std::string path : {"/without-end-2", "/zookeeper/more", "/zookeeper/quota/kafka",
-                                   "/zookeeper/quota/iot/gateways", "/iot/more"})
+    for (const std::string path :
+         {"/without-end-2", "/zookeeper/more", "/zookeeper/quota/kafka", "/zookeeper/quota/iot/gateways", "/iot/more"})
       EXPECT_EQ(stranger->create(path), ZNOAUTH) << path;
     for (const std::string path : {"/", "/zookeeper", "/zookeeper/quota", "/zookeeper/quota/iot/zookeeper_limits"})
       EXPECT_EQ(stranger->seize(path), ZNOAUTH) << path;
