@@ -52,8 +52,8 @@ bool is_own(const std::string& component) {
   return component.starts_with("__");
 }
 
-/// The class of ours with which the text of an error begins that a C++ component or grouping reports while it runs; empty:
-/// it is of another class of Java, such as what a component throws when it cannot be opened.
+/// The class of ours with which the text of an error begins that a C++ component or grouping reports while it runs;
+/// empty: it is of another class of Java, such as what a component throws when it cannot be opened.
 std::string_view class_of_running(std::string_view error) {
   for (const std::string_view ours : {"iotcloud.storm.ComponentError: ", "iotcloud.storm.GroupingError: "}) {
     if (error.starts_with(ours)) return ours;
