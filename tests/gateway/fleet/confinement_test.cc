@@ -38,6 +38,10 @@ class ConfinedHosts : public ProcessTest {
   /// What a driver in such a host finds out.
   std::map<std::string, std::string> facts(std::map<std::string, std::string> properties = {}) {
     start_gateway();
+    return facts_here(std::move(properties));
+  }
+  /// The same, at the gateway that runs.
+  std::map<std::string, std::string> facts_here(std::map<std::string, std::string> properties) {
     give(quiet("a", "confined.so", std::move(properties)));
     EXPECT_TRUE(comes_to("a", DriverState::active, "confined"));
     EXPECT_TRUE(eventually([&] {
@@ -265,6 +269,22 @@ TEST_F(ConfinedHosts, ReachSpoolsAndLogsInTheStateFolderAndNothingElseThere) {
   give(order("b", {{"channel.readings.when_full", "spool"}}));
   EXPECT_TRUE(comes_to("b", DriverState::active));
   EXPECT_TRUE(eventually([&] { return fs::exists(state_ / "spool/b/readings"); }));
+}
+
+/// SECURITY.md: all hosts of a gateway have one user, and what `host_files` leaves them has all spools in it.
+TEST_F(ConfinedHosts, OfOneGatewayReadAndChangeEachOthersSpools) {
+  if (processes::landlock_version() == 0) GTEST_SKIP() << "this kernel has no Landlock";
+  confinement_.no_new_privileges = true;
+  confinement_.files.emplace();
+  start_gateway();
+  give(order("b", {{"channel.readings.when_full", "spool"}}));
+  ASSERT_TRUE(comes_to("b", DriverState::active));
+  const fs::path spool = state_ / "spool/b/readings";
+  ASSERT_TRUE(eventually([&] { return fs::exists(spool) && !fs::is_empty(spool); }));
+  auto found =
+      facts_here({{"secret_file", fs::directory_iterator(spool)->path()}, {"forbidden_file", spool / "put-there"}});
+  EXPECT_EQ(found["secret_file"], "ok");
+  EXPECT_EQ(found["forbidden_file"], "ok");
 }
 
 TEST_F(ConfinedHosts, ThatCannotBeConfinedRunNoDriverAndSayWhy) {
