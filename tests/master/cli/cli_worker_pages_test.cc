@@ -1,4 +1,5 @@
 // A topology is seen from a machine that does not reach its workers: the master reads their pages.
+#include <algorithm>
 #include <atomic>
 #include <fstream>
 #include <mutex>
@@ -312,6 +313,36 @@ TEST_F(CliOfAWorkerHere, GetsNoAnswerOfAnotherProgramAtTheMaster) {
     }
     node_.reset();
   }
+}
+
+/// SECURITY.md: what the thief of a worker makes a master do by a record of its own.
+TEST_F(CliOfAWorkerHere, MakesTheMasterAskWhateverAddressItsRecordNamesButSendNoTokenThere) {
+  const auto sent_first = [&](bool tls) {
+    const iotcloud::tests::LoopbackListener somebody;
+    std::string bytes(4096, '\0');
+    std::jthread accepting([&] {
+      const int client = somebody.accept();
+      bytes.resize(
+          client < 0 ? 0 : static_cast<std::size_t>(std::max<ssize_t>(0, recv(client, bytes.data(), bytes.size(), 0))));
+      if (client >= 0) close(client);
+    });
+    worker_.http = "127.0.0.1:" + std::to_string(somebody.port());
+    worker_.tls = tls;
+    show_worker();
+    cli::MasterClient client({address()}, {}, std::chrono::milliseconds(1000));
+    EXPECT_THROW(client.worker_page("echo"_topology, "w1", "/topology"), cli::RequestFailed);
+    shutdown(somebody.socket(), SHUT_RDWR);  // ends accept(), if nobody came
+    accepting.join();
+    node_.reset();
+    return bytes;
+  };
+  const std::string plain = sent_first(false);
+  EXPECT_THAT(plain, testing::StartsWith("GET /topology"));
+  EXPECT_THAT(plain, AllOf(Not(HasSubstr("Authorization")), Not(HasSubstr(token_))));
+  const std::string secured = sent_first(true);
+  ASSERT_FALSE(secured.empty());
+  EXPECT_EQ(secured.front(), '\x16') << "a handshake of TLS, in which the somebody must prove that it has this address";
+  EXPECT_THAT(secured, Not(HasSubstr(token_)));
 }
 
 TEST_F(CliOfAFarWorker, TellsWhetherADaemonIsWell) {
