@@ -78,8 +78,8 @@ FILES = {
               "registry.users": "registry.users", "registry.password": "workers.registry.password", "tokens": f"{name}.tokens",
               "plugins.pub": "plugins.pub",
               **{f"workers/{file}": source for file, source in of_workers(certificate_of_workers(name)).items()}} for name in POOLS},
-    "supervisor": {"ca.pem": "ca.pem", "registry.users": "registry.users", "registry.password": "workers.registry.password",
-                   "rabbitmq.password": "workers.rabbitmq.password"},
+    "supervisor": {"ca.pem": "ca.pem", "revoked.pem": "revoked.pem", "registry.users": "registry.users",
+                   "registry.password": "workers.registry.password", "rabbitmq.password": "workers.rabbitmq.password"},
     "prometheus": {"ca.pem": "ca.pem", "host.pem": "prometheus.pem", "host.key": "prometheus.key",
                    "prometheus.token": "prometheus.token"},
     "operator": OPERATOR,
@@ -450,6 +450,8 @@ def up(given):
         finally:
             process.terminate()
             process.wait()
+    say("closing ZooKeeper's own nodes to those without a credential")
+    until_done(["docker", "exec", docker.containers()[MASTERS[0]]["Id"], *revocation.rights(MASTERS[0])])
     print(HOW_TO.format(storm=HOW_TO_STORM if given.storm else ""))
 
 

@@ -49,9 +49,10 @@ def commands_for_passwords():
 
 
 def rights(master):
-    """Gives the registry's nodes the rights of the users that there are, from a master's container."""
+    """Gives the registry's nodes the rights of the users that there are, from a master's container, and ZooKeeper's own nodes to the
+    masters: nobody else uses this ZooKeeper."""
     return ["iotcloud", "registry", "rights", "--registry", "zookeeper://127.0.0.1:2181", "--user", master, "--password-file",
-            "/run/secrets/registry.password", "--users", "/run/secrets/registry.users"]
+            "/run/secrets/registry.password", "--users", "/run/secrets/registry.users", "--close-server"]
 
 
 def commands(gateway, master):

@@ -296,8 +296,8 @@ class RenewRights final : public Verb {
         "--close-server", close_server_,
         "also take from everybody who reaches ZooKeeper, a driver host too, the rights on its own nodes: then only "
         "masters make and remove nodes at the top (/), and set quotas (/zookeeper). Others who use it, as Kafka or "
-        "Storm, "
-        "must have made a node of their own at the top by then, below which all of theirs are (a chroot); one that "
+        "Storm, must have made a node of their own at the top by then, below which all of theirs are (a chroot); one "
+        "that makes nodes at the top itself cannot go on"); one that "
         "makes nodes at the top itself cannot go on");
   }
   int run(Call& call) override {
@@ -330,16 +330,14 @@ class RenewRights final : public Verb {
     if (!done.open.empty()) {
       call.err << fmt::format(
           "everybody who reaches ZooKeeper may change {}: make and remove nodes there, or limit by quotas what masters "
-          "may "
-          "write. --close-server ends that; its help says what it asks of others who use this ZooKeeper\n",
+          "may write. --close-server ends that; its help says what it asks of others who use this ZooKeeper\n",
           fmt::join(done.open, ", "));
     }
     for (const auto& path : done.seized) {
       call.err << fmt::format(
           "{} has rights that keep this master out. They are those of ZooKeeper's administrator, of the masters of "
-          "another "
-          "fleet, or of a thief, in which case its superuser gives the node back (setAcl {} world:anyone:cdrwa, then "
-          "this once more)\n",
+          "another fleet, or of a thief, in which case its superuser gives the node back (setAcl {} "
+          "world:anyone:cdrwa, then this once more)\n",
           path, path);
     }
     const bool closed = !close_server_ || done.seized.empty();
