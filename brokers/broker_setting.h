@@ -18,9 +18,10 @@ struct BrokerSetting {
 
 /// Reads a broker's connection options from a section of YAML: `urls`, `user`, `password_file`, `password_variable`,
 /// `tls: {ca, certificate, key, revoked}`, `heartbeat`, `properties`. The caller reads its own keys and finishes the
-/// section. `urls` may be missing. \param session_timeout of the registry: the broker must notice a dead reader before
-/// the registry names another one, so the heartbeat is at most half of it. \throws config::ConfigError for impossible
-/// values, with file, line and remedy.
+/// section. `urls` may be missing.
+/// \param session_timeout of the registry: the broker must notice a dead reader before the registry names another one,
+/// so the heartbeat is at most half of it.
+/// \throws config::ConfigError for impossible values, with file, line and remedy.
 BrokerOptions read_broker_options(config::YamlSection& section, std::chrono::milliseconds session_timeout);
 
 /// The files that the broker's client reads, by their keys in the section: passwords, that of RabbitMQ's user for

@@ -58,8 +58,7 @@ std::string taken_by_storm(Registry& registry, const Paths& paths, const Topolog
   return fmt::format(
       "Apache Storm runs a topology {} already (its worker {} reads {}), and both would share its drivers unseen: end "
       "that one (`iotcloud topology kill {} --engine storm --nimbus HOST:PORT`; the registry forgets its workers "
-      "within "
-      "their session time-out), or give this one another \"topology.name\"",
+      "within their session time-out), or give this one another \"topology.name\"",
       topology, reader->worker, reader->what, topology);
 }
 
@@ -76,8 +75,7 @@ std::string taken_by_workers(Registry& registry, const Paths& paths, const Topol
   }
   return fmt::format(
       "workers of ours run a topology {} already ({}), and both would share its drivers unseen: end that one "
-      "(`iotcloud "
-      "topology kill {}`), or give this one another \"topology.name\"",
+      "(`iotcloud topology kill {}`), or give this one another \"topology.name\"",
       topology, who, topology);
 }
 

@@ -183,7 +183,9 @@ enum class ServersNodes { only_looked_at, closed };
 /// creation until somebody does, so a user that was added later may not enter, and one that was removed still may.
 /// Makes the branches that are missing.
 /// Waits for the registry's answers. A second run goes on where one ended early. The last thing it does is what
-/// `servers` says. \param options a master's, with user and access. \param progress called now and then; may be empty.
+/// `servers` says.
+/// \param options a master's, with user and access.
+/// \param progress called now and then; may be empty.
 /// \throws config::Error when the registry does not answer, or does not let this user change a node's rights; for an
 /// embedded registry, which has no rights
 RenewedRights renew_rights(const RegistryOptions& options, const Paths& paths,

@@ -703,6 +703,7 @@ void OrderFeed::read_refused_later() {
 void OrderFeed::read_refused_again() {
   {
     const config::MutexLock lock(mutex_);
+    if (refused_.empty()) return;
     for (const auto& [instance, what] : refused_) handled_.erase(instance);
   }
   read_orders();

@@ -78,8 +78,7 @@ void Renewal::complain(const std::string& why) {
   if (!complaints_.insert(why).second) return;
   logger.warn(
       "{}: the renewed TLS files (tls.ca, tls.certificate, tls.key, tls.revoked) are of no use yet: {}; going on with "
-      "those "
-      "from before",
+      "those from before",
       printable_url(options_.broker.urls.front()), why);
 }
 

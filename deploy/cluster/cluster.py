@@ -591,13 +591,16 @@ def passwords(_):
 
 def until_done(command):
     """Runs a command until it succeeds, in a container that is starting."""
-    deadline = time.monotonic() + START_LIMIT_S
+    deadline, told = time.monotonic() + START_LIMIT_S, ""
     while True:
         try:
             return asked(command)
-        except Refused:
+        except Refused as refused:
             if time.monotonic() > deadline:
                 raise
+            if str(refused) != told:
+                told = str(refused)
+                say(f"tried again: {told}")
             time.sleep(1)
 
 

@@ -297,8 +297,7 @@ class RenewRights final : public Verb {
         "also take from everybody who reaches ZooKeeper, a driver host too, the rights on its own nodes: then only "
         "masters make and remove nodes at the top (/), and set quotas (/zookeeper). Others who use it, as Kafka or "
         "Storm, must have made a node of their own at the top by then, below which all of theirs are (a chroot); one "
-        "that makes nodes at the top itself cannot go on"); one that "
-        "makes nodes at the top itself cannot go on");
+        "that makes nodes at the top itself cannot go on");
   }
   int run(Call& call) override {
     const discovery::Paths paths(root_);

@@ -86,7 +86,7 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
   void look_after(std::chrono::milliseconds pause) {
     discovery::GuardPtr before;  // ends without the lock, which its callback may wait for
     const config::MutexLock lock(mutex);
-    if (std::exchange(planned, true)) return;
+    if (closed || std::exchange(planned, true)) return;
     before = std::exchange(look_guard, options.registry->after(pause, [weak = weak_from_this()] {
       if (const auto self = weak.lock()) self->look();
     }));
@@ -95,6 +95,7 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
   void look() {
     {
       const config::MutexLock lock(mutex);
+      if (closed) return;
       planned = false;
     }
     PoolView view;
@@ -161,6 +162,7 @@ struct PoolWatch::Impl : std::enable_shared_from_this<Impl> {
   const Options options;
   config::Mutex mutex;
   bool planned IOTCLOUD_GUARDED_BY(mutex) = false;
+  bool closed IOTCLOUD_GUARDED_BY(mutex) = false;  ///< no look begins any more
   discovery::GuardPtr look_guard IOTCLOUD_GUARDED_BY(mutex);
 
   // Used on the registry's dispatcher only, but for construction and destruction.
@@ -177,11 +179,12 @@ PoolWatch::PoolWatch(Options options) : impl_(std::make_shared<Impl>(std::move(o
 }
 
 PoolWatch::~PoolWatch() {
+  keys_watch_ = {};
   impl_->guards.clear();  // nobody follows names any more
   for (auto* watched : {&impl_->pools, &impl_->submissions, &impl_->places}) watched->clear();
   discovery::GuardPtr last_look;
   const config::MutexLock lock(impl_->mutex);
-  impl_->planned = true;
+  impl_->closed = true;
   last_look = std::move(impl_->look_guard);
 }
 

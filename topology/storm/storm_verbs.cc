@@ -367,6 +367,7 @@ int list_once(const StormCall& call, NimbusClient& nimbus) {
       for (const auto& counts : nimbus.counts(topology.name, all_time))
         (counts.spout ? spouts : bolts).push_back(counts.component);
     } catch (const NimbusError&) {
+      if (nimbus.details(topology.name)) throw;
       continue;  // it ended since
     }
     const auto since = since_ms(topology.uptime_s);

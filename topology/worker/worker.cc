@@ -216,10 +216,8 @@ struct Worker::Impl {
                 "\", and these inputs reach across drivers, of which each worker would have only its share:\n" +
                 crossed,
             "run it on Apache Storm, which carries tuples from worker to worker (docs/storm.md): iotcloud topology "
-            "submit "
-            "--engine storm; or run one worker; or use a key with driverID; or, if each worker should process its "
-            "share "
-            "only, give these bolts \"scope: worker\" (or write \"topology.scope: worker\")");
+            "submit --engine storm; or run one worker; or use a key with driverID; or, if each worker should process "
+            "its share only, give these bolts \"scope: worker\" (or write \"topology.scope: worker\")");
       }
       if (!std::exchange(told, true)) {
         worker_logger.warn(

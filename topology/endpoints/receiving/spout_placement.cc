@@ -28,8 +28,8 @@ constexpr std::chrono::milliseconds limit_pause{500};
 constexpr std::chrono::seconds arrivals_pause{1};
 constexpr std::size_t most_questions = 200;
 
-/// After the fence was raised: how often the registry is asked whether it is there, and for how long at most. Without
-/// it reading goes on.
+/// After the fence was raised: how often the registry is asked whether it is there, and after what time without it
+/// reading goes on; a question itself may take as long as any call to the registry.
 constexpr std::chrono::milliseconds question_pause{10}, question_limit{2000};
 
 /// The name of a channel's unit: for an exclusive channel that of its driver instance, for a shared one that of its
