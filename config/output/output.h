@@ -11,6 +11,7 @@
 /// What programs of the command line print, for people and for programs.
 namespace iotcloud::config::output {
 
+/// A table for people, or one document for programs.
 enum class Format { table, json, yaml };
 
 /// Prints a table. Each column is as wide as its widest cell; the last one is not padded. Widths count UTF-8

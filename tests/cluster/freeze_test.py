@@ -75,11 +75,12 @@ def kept(cluster, worker):
 
 
 def wait_until_fresh(cluster, worker):
-    """Waits until the worker has read its half for two seconds, in the last of which no message came late. Of one that is frozen
-    with a backlog, the successor sends again what it had sent and not settled: numbers nearly as late as those looked for."""
+    """Waits until the worker has read its half for two seconds, in the last of which no message came late, or all messages are back.
+    Of one that is frozen with a backlog, the successor sends again what it had sent and not settled: numbers nearly as late as
+    those looked for."""
     until = cluster.received(worker) + RATE[cluster.broker] * DRIVERS[cluster.broker]
-    wait_for(f"{worker} has caught up", lambda: cluster.received(worker) >= until and
-             cluster.metric(worker, "iotcloud_spout_arrival_age_seconds") < 1)
+    wait_for(f"{worker} has caught up", lambda: all(map(result_of, cluster.reports)) or (
+        cluster.received(worker) >= until and cluster.metric(worker, "iotcloud_spout_arrival_age_seconds") < 1))
 
 
 def wait_for_calm(starvation):

@@ -135,7 +135,7 @@ class FakeNimbus:
             self.uploaded += len(arguments[2])
         elif method == "killTopologyWithOpts":
             self.topologies.pop(name)
-        elif method in ("activate", "deactivate"):
+        elif method in ("activate", "deactivate") and name in self.topologies:
             self.topologies[name]["status"] = "ACTIVE" if method == "activate" else "INACTIVE"
         return {0: (STRING, self.jar())} if method == "beginFileUpload" else {}
 
