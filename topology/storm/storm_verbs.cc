@@ -541,6 +541,7 @@ int set_log_levels(const StormCall& call, const std::string& name, const std::ma
   auto nimbus = connect(call);
   nimbus.set_log_levels(name, levels, time_out);
   std::vector<std::string> changed;
+  changed.reserve(levels.size());
   for (const auto& [logger, level] : levels) {
     changed.push_back(fmt::format("{}: the workers' logger {} has {}{}", name, logger,
                                   level.empty() ? "its level of before" : level,
