@@ -68,6 +68,7 @@ void emit(YAML::Emitter& emitter, const nlohmann::ordered_json& value) {
 void print_table(std::ostream& out, const std::vector<std::string>& head,
                  const std::vector<std::vector<std::string>>& rows) {
   std::vector<std::size_t> widths;
+  widths.reserve(head.size());
   for (const auto& title : head) widths.push_back(width(title));
   for (const auto& row : rows)
     for (std::size_t i = 0; i < row.size(); ++i) widths[i] = std::max(widths[i], width(row[i]));
@@ -115,11 +116,12 @@ std::string moment(std::int64_t time_ms) {
 
 std::string age(std::int64_t since_ms, std::int64_t now_ms) {
   if (since_ms <= 0) return "-";
+  constexpr std::int64_t minute = 60, hour = 60 * minute, day = 24 * hour;
   const auto seconds = std::max<std::int64_t>(0, (now_ms - since_ms) / 1000);
-  if (seconds < 120) return fmt::format("{}s", seconds);
-  if (seconds < 120 * 60) return fmt::format("{}m", seconds / 60);
-  if (seconds < 48 * 3600) return fmt::format("{}h", seconds / 3600);
-  return fmt::format("{}d", seconds / 86400);
+  if (seconds < 2 * minute) return fmt::format("{}s", seconds);
+  if (seconds < 2 * hour) return fmt::format("{}m", seconds / minute);
+  if (seconds < 2 * day) return fmt::format("{}h", seconds / hour);
+  return fmt::format("{}d", seconds / day);
 }
 
 std::string printable(const std::string& text) {

@@ -5,6 +5,7 @@
 
 namespace iotcloud::master::cli {
 
+// NOLINTBEGIN(misc-unused-using-decls): the verbs use them
 using config::output::age;
 using config::output::Format;
 using config::output::interrupt;
@@ -17,5 +18,6 @@ using config::output::print_table;
 using config::output::print_yaml;
 using config::output::printable;
 using config::output::watch;
+// NOLINTEND(misc-unused-using-decls)
 
 }  // namespace iotcloud::master::cli
