@@ -94,8 +94,7 @@ brokers: {{main: {{type: rabbitmq, urls: ["amqp://127.0.0.1:1/"]}}}}
 
     def hosts(self, plugin="loadgen.so"):
         """Process ids of the driver hosts of a plugin."""
-        return [process for process in self.hosts_of("gateway-1")
-                if f"--name={plugin}".encode() in Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")]
+        return self.processes(lambda words: words[0].endswith(b"iotcloud-driver-host") and f"--name={plugin}".encode() in words)
 
     def attack(self):
         """A driver that tries what it may do to its gateway, and says what came of it."""

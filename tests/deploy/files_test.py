@@ -119,15 +119,7 @@ class Machine(BootedCluster):
 
     def workers_of_pool(self):
         """Process ids of the pool's workers."""
-        found = []
-        for process in self.descendants():
-            try:
-                words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
-            except OSError:  # it has ended since it was listed
-                continue
-            if words[1:2] == [b"--pooled"]:
-                found.append(process)
-        return found
+        return self.processes(lambda words: words[1:2] == [b"--pooled"])
 
     def may(self, user, *command):
         """Whether a command does its work as a daemon of this user, with the groups that its unit gives it."""

@@ -49,23 +49,15 @@ worker_hang_limit: 15s
         self.boot(units, known, [UNIT], [self.bin / "iotcloud-topology", self.out / "pool.yaml"],
                   f"touch {secrets}; chmod 0600 {secrets}; chown {USER}: {secrets}")
 
-    def processes(self, second):
+    def topologies(self, second):
         """Process ids of iotcloud-topology whose second word is this one."""
-        found = []
-        for process in self.descendants():
-            try:
-                words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
-            except OSError:  # it has ended since it was listed
-                continue
-            if words[:2] == [b"/opt/iotcloud/iotcloud-topology", second]:
-                found.append(process)
-        return found
+        return self.processes(lambda words: words[:2] == [b"/opt/iotcloud/iotcloud-topology", second])
 
     def pool(self):
-        return self.processes(b"--pool")
+        return self.topologies(b"--pool")
 
     def worker(self):
-        return self.processes(b"--pooled")
+        return self.topologies(b"--pooled")
 
     def record(self):
         """What the master says of the pool; empty while it is not there."""

@@ -318,17 +318,21 @@ brokers:
 
         wait_for(f"{name} is registered again", is_there)
 
-    def hosts_of(self, gateway):
-        """Process ids of a gateway's driver hosts."""
+    def processes(self, are_meant):
+        """Ids of those processes of the cluster whose command line, a list of words (bytes), `are_meant` says yes to."""
         found = []
         for process in self.descendants():
             try:
                 words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
             except OSError:
                 continue  # it has ended since it was listed
-            if words[0].endswith(b"iotcloud-driver-host") and gateway.encode() in words:
+            if are_meant(words):
                 found.append(process)
         return found
+
+    def hosts_of(self, gateway):
+        """Process ids of a gateway's driver hosts."""
+        return self.processes(lambda words: words[0].endswith(b"iotcloud-driver-host") and gateway.encode() in words)
 
     def deploy(self, plugin, gateway, properties):
         self.cli("deploy", plugin, "--gateway", gateway, *(f"--property={k}={v}" for k, v in properties.items()))
