@@ -6,6 +6,8 @@ usage: ./dev bench runtime [--quick] [--build DIR] [--json FILE]      (it builds
                            [--json FILE]
        ./dev bench discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
        ./dev bench fleet [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
+       ./dev bench devices [--quick] [--rounds N] [--build DIR] [--json FILE]
+       ./dev bench console [--quick] [--rounds N] [--build DIR] [--json FILE]
        ./dev bench paper [--quick | --full] [--figure NAME]... [--broker NAME]... [--points REGEX] [--rounds N]
                          [--build DIR] [--out FOLDER]
        ./dev bench storm [--quick | --full] [--points REGEX] [--rounds N] [--keep-noisy] [--build DIR] [--out FOLDER]
@@ -32,6 +34,8 @@ from pathlib import Path
 import page
 from brokers_report import BROKERS, run_brokers
 from codec_report import run_codec, run_follower
+from console_report import run_console
+from devices_report import run_devices
 from discovery_report import run_discovery
 from figures import ProgramFailed, command_line, commit, machine
 from fleet_report import run_fleet
@@ -50,9 +54,9 @@ def main():
         return
     options = argparse.ArgumentParser(prog="./dev bench", description=__doc__.split("\n")[0])
     commands = options.add_subparsers(dest="what", required=True)
-    names = ("runtime", "soak", "brokers", "discovery", "fleet", "codec", "follower", "paper", "storm")
-    runtime, soak, brokers, discovery, fleet, codec, follower, paper, storm = map(commands.add_parser, names)
-    for command in (runtime, soak, brokers, discovery, fleet, codec, follower, paper, storm):
+    names = ("runtime", "soak", "brokers", "discovery", "fleet", "devices", "console", "codec", "follower", "paper", "storm")
+    runtime, soak, brokers, discovery, fleet, devices, console, codec, follower, paper, storm = map(commands.add_parser, names)
+    for command in (runtime, soak, brokers, discovery, fleet, devices, console, codec, follower, paper, storm):
         command.add_argument("--build", type=Path, default=root / "build/release")
         if command not in (paper, storm):  # paper and storm write a file for each figure
             command.add_argument("--json", type=Path)
@@ -72,6 +76,10 @@ def main():
     fleet.add_argument("--quick", action="store_true", help="one round")
     fleet.add_argument("--rounds", type=int, help="default: 3, with --quick 1")
     fleet.add_argument("--instances", type=int, default=10_000, help="idle driver instances in one host")
+    devices.add_argument("--quick", action="store_true", help="one short round")
+    devices.add_argument("--rounds", type=int, help="default: 3, with --quick 1")
+    console.add_argument("--quick", action="store_true", help="two rounds")
+    console.add_argument("--rounds", type=int, help="default: 5, with --quick 2")
     for command in (codec, follower):
         command.add_argument("--quick", action="store_true", help="three rounds over fewer frames")
         command.add_argument("--rounds", type=int, help="default: 7, with --quick 3")
@@ -85,8 +93,8 @@ def main():
         print("THE MACHINE IS NOT QUIET: the tails of latencies, and what needs all cores, are worse than they are")
     began = time.monotonic()
     benchmarks = {"runtime": run_runtime, "soak": run_soak, "brokers": run_brokers, "discovery": run_discovery,
-                  "fleet": run_fleet, "codec": run_codec, "follower": run_follower, "paper": run_paper,
-                  "storm": run_paper}
+                  "fleet": run_fleet, "devices": run_devices, "console": run_console, "codec": run_codec,
+                  "follower": run_follower, "paper": run_paper, "storm": run_paper}
     file = getattr(given, "json", None) or root / f"build/bench/{given.what}.json"
     command = command_line(sys.argv[1:])
     tells_by_itself = given.what in ("brokers", "paper", "storm")  # these tell by themselves how much time is left

@@ -19,6 +19,21 @@ Tls read_tls(config::YamlSection section) {
   return tls;
 }
 
+/// \param options BrokerOptions, const or not. \param visit gets the key in the section and the file
+template <class Options, class Visit>
+void for_each_file(Options& options, const Visit& visit) {
+  const auto visit_named = [&](const char* key, auto& file) {
+    if (!file.empty()) visit(key, file);
+  };
+  visit_named("password_file", options.password_file);
+  visit_named("tls.ca", options.tls.ca_file);
+  visit_named("tls.certificate", options.tls.certificate_file);
+  visit_named("tls.key", options.tls.key_file);
+  visit_named("tls.revoked", options.tls.revoked_file);
+  const auto of_reader = options.properties.find("reader_password_file");
+  if (of_reader != options.properties.end()) visit_named("properties.reader_password_file", of_reader->second);
+}
+
 }  // namespace
 
 BrokerOptions read_broker_options(config::YamlSection& section, std::chrono::milliseconds session_timeout) {
@@ -57,15 +72,13 @@ BrokerOptions read_broker_options(config::YamlSection& section, std::chrono::mil
 }
 
 std::map<std::string, std::string> files_of(const BrokerOptions& options) {
-  std::map<std::string, std::string> files = {{"password_file", options.password_file},
-                                              {"tls.ca", options.tls.ca_file},
-                                              {"tls.certificate", options.tls.certificate_file},
-                                              {"tls.key", options.tls.key_file},
-                                              {"tls.revoked", options.tls.revoked_file}};
-  const auto of_reader = options.properties.find("reader_password_file");
-  if (of_reader != options.properties.end()) files["properties.reader_password_file"] = of_reader->second;
-  std::erase_if(files, [](const auto& named) { return named.second.empty(); });
+  std::map<std::string, std::string> files;
+  for_each_file(options, [&](const char* key, const std::string& file) { files.emplace(key, file); });
   return files;
+}
+
+void change_files(BrokerOptions& options, const std::function<void(std::string& file)>& change) {
+  for_each_file(options, [&](const char*, std::string& file) { change(file); });
 }
 
 bool are_credentials_given(const BrokerOptions& options) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <functional>
 #include <map>
 #include <string>
 
@@ -27,6 +28,8 @@ BrokerOptions read_broker_options(config::YamlSection& section, std::chrono::mil
 /// The files that the broker's client reads, by their keys in the section: passwords, that of RabbitMQ's user for
 /// reading too, certificates and the key. read_broker_options() has found them all.
 std::map<std::string, std::string> files_of(const BrokerOptions& options);
+/// Hands each of these files to a function, which may put another path in its place.
+void change_files(BrokerOptions& options, const std::function<void(std::string& file)>& change);
 
 /// Whether the options hold something that only the intended broker may get (a user, the place of a password, a client
 /// certificate), or an authority by which that broker proves itself. Such options must not be used with an address that

@@ -91,9 +91,9 @@ endfunction()
 
 # A GoogleTest program; each of its tests is a test of ctest.
 #   LABELS: one of `unit`, `contract`, `server`, `system`, `long` (tests/README.md says what they mean), then `java` if
-#   it starts servers from Maven Central, `ros` if it needs ROS, and `serverless` if it is no unit test and starts no
-#   server: ./dev test installs and fetches what the labels of the chosen tests say. A server of tests/servers does not
-#   start for a test whose labels say that it needs none (its environment has IOTCLOUD_TEST_LABELS).
+#   it starts servers from Maven Central, `ros` if it needs ROS, `browser` if it needs Chromium and packages of npm, `packages` if it
+#   makes Debian packages or installs them, and `serverless` if it is no unit test and starts no server: ./dev test installs and
+#   fetches what the labels of the chosen tests say. A server of tests/servers does not start for a test whose labels say that it needs none (its environment has IOTCLOUD_TEST_LABELS).
 #   SANITIZERS: asan if it handles bytes or lifetimes of its own, tsan if it has threads. Both are the default of `unit` and
 #   `contract`; `SANITIZERS none` turns them off. ./dev test runs the test under tsan, or else under asan, and nowhere else,
 #   but for those that say OPTIMIZED, which run under all: they test what release compiles with -O3. With LATER it runs them

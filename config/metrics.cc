@@ -33,6 +33,13 @@ double middle_of(int bucket) {
   return std::ldexp(1.0, octave) + (bucket % sub_buckets + 0.5) * width;
 }
 
+/// The upper end of a bucket, in ns.
+double end_of(int bucket) {
+  if (bucket < sub_buckets) return bucket + 1;
+  const int octave = bucket / sub_buckets + 3;
+  return std::ldexp(1.0, octave) + (bucket % sub_buckets + 1) * std::ldexp(1.0, octave - 4);
+}
+
 }  // namespace
 
 struct Histogram::Buckets {
@@ -90,6 +97,19 @@ Histogram::Summary Histogram::summary() const {
   summary.p50_ns = quantile(0.5);
   summary.p99_ns = quantile(0.99);
   return summary;
+}
+
+Histogram::Spread Histogram::spread() const {
+  const Buckets* b = buckets_.load(std::memory_order_acquire);
+  Spread spread;
+  if (!b) return spread;
+  for (int first = 0; first < bucket_count; first += sub_buckets / 4) {
+    std::uint64_t count = 0;
+    for (int i = first; i < first + sub_buckets / 4; ++i)
+      count += b->counts[static_cast<std::size_t>(i)].load(std::memory_order_relaxed);
+    if (count > 0) spread.emplace_back(end_of(first + sub_buckets / 4 - 1), count);
+  }
+  return spread;
 }
 
 struct Metrics::Impl {

@@ -51,6 +51,9 @@ class Histogram {
   /// \param times how many samples have this value (for a batch that was timed as a whole).
   void record_ns(std::int64_t ns, std::uint64_t times = 1);
   Summary summary() const;
+  /// The samples in quarters of an octave: the upper end of each that has one, in nanoseconds, and how many it has.
+  using Spread = std::vector<std::pair<double, std::uint64_t>>;
+  Spread spread() const;
 
  private:
   struct Buckets;

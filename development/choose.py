@@ -8,9 +8,10 @@ The second form prints the chosen tests that CMake left out, because something t
 each with its name, a tab and what is missing, for summary.py. The first
 prints two lines: the targets that build the tests which these options of ctest choose (-R, -E, -L, -LE), and what else
 these tests need: servers (Debian's), tools (all other programs of system tests), java (servers from Maven Central, jni.h),
-ros. It reads BUILD_FOLDER/test_list.tsv, which CMake writes. A test in it is known by name. Of a GoogleTest
-program it reads the tests' names in the sources and, once it was built, in the list that ctest has of it; a program
-with a parameterized test that has never been built is chosen when no name can rule it out.
+ros, browser (Chromium, and packages of npm), packages (what makes Debian packages, and a Debian to install them
+on). It reads BUILD_FOLDER/test_list.tsv, which CMake writes. A test in it is known by name. Of a GoogleTest program it
+reads the tests' names in the sources and, once it was built, in the list that ctest has of it; a program with a
+parameterized test that has never been built is chosen when no name can rule it out.
 """
 import re
 import sys
@@ -43,7 +44,7 @@ class Listed:
         return Listed(name, how == "program", labels.split(), targets.split(), sources.split(), missing)
 
     def needs(self):
-        needs = {"java", "ros"}.intersection(self.labels)
+        needs = {"java", "ros", "browser", "packages"}.intersection(self.labels)
         if self.labels[0] != "unit" and "serverless" not in self.labels:
             needs.add("servers")
         if self.labels[0] in ("system", "long"):

@@ -39,6 +39,7 @@ def landlock():
 CAUSES = {
     "Landlock older than 1": lambda: landlock() < 1,
     "Landlock older than 4": lambda: landlock() < 4,
+    "no camera": lambda: not Path("/dev/video0").exists(),
     "no AVX2": lambda: "avx2" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split(),
     # Version 2 of cgroups has one tree there, version 1 one in each folder.
     "no cgroup to write to": lambda: not any(os.access(file, os.W_OK) for pattern in ("cgroup.procs", "*/cgroup.procs")

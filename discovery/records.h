@@ -79,6 +79,7 @@ struct DriverRecord {
   std::string sha256{};       ///< the checksum of the plugin's bytes, in hexadecimal digits; empty: not known
   std::string signed_by{};    ///< the trusted key that signed the plugin; empty: none
   bool starts_again = false;  ///< it failed, and its gateway starts it again by itself; field 108
+  std::string made_by{};      ///< OrderRecord::made_by; field 109
   /// `state` and `metadata` are missing here: the state takes two fields of TSensor, the metadata are JSON in one
   /// field, so records.cc converts them.
   static constexpr const char* what = "a driver";
@@ -95,6 +96,7 @@ struct DriverRecord {
       IOTCLOUD_FIELD(sha256, rare),
       IOTCLOUD_FIELD_AS(signed_by, rare, "signed_by", signedBy),
       IOTCLOUD_FIELD_AS(starts_again, rare, "starts_again", startsAgain),
+      IOTCLOUD_FIELD_AS(made_by, rare, "made_by", madeBy),
   };
   friend bool operator==(const DriverRecord&, const DriverRecord&) = default;
 };
@@ -179,11 +181,17 @@ struct OrderRecord : Deployment {
   /// During an update: the version that ran before, which the gateway keeps so that the update can be rolled back.
   std::optional<PluginVersion> previous;
   std::int64_t given_ms = 0;  ///< the master's wall time; grows with each change of an instance's order
+  /// What made the instance, if no master did: "rule NAME" or "finder NAME" of the gateway's own file
+  /// (gateway/provisioning/README.md). An order in the registry with it is a person's word about an instance that a
+  /// rule makes: of the order only this, `active`, `drained` and `withheld` count.
+  std::string made_by{};
+  bool withheld = false;  ///< with `made_by`: the rule is not to make the instance, until it is started
   static constexpr const char* what = "an order";
   static constexpr auto fields =
       std::tuple_cat(Deployment::fields, std::tuple{IOTCLOUD_FIELD(instance, required), IOTCLOUD_FIELD(index, rare),
                                                     IOTCLOUD_FIELD(epoch, usual), IOTCLOUD_FIELD(drained, rare),
-                                                    IOTCLOUD_FIELD(previous, rare), IOTCLOUD_FIELD(given_ms, rare)});
+                                                    IOTCLOUD_FIELD(previous, rare), IOTCLOUD_FIELD(given_ms, rare),
+                                                    IOTCLOUD_FIELD(made_by, rare), IOTCLOUD_FIELD(withheld, rare)});
   friend bool operator==(const OrderRecord&, const OrderRecord&) = default;
 };
 

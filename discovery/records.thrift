@@ -58,6 +58,8 @@ struct TSensor {
   107: optional i32 index
   // Of a failed instance: its gateway starts it again by itself.
   108: optional bool startsAgain
+  // What made the instance, if no master ordered it: "rule NAME" or "finder NAME" of its gateway's own file.
+  109: optional string madeBy
 }
 
 struct TBroker {
@@ -97,6 +99,7 @@ struct TLookRequest {
   4: i32 most
   5: i32 bytes
   6: bool last
+  7: optional i32 everyMs
 }
 
 struct THandedMessage {
@@ -113,6 +116,10 @@ struct TSeenMessage {
   4: i64 size
   5: binary payload
   6: map<string, string> properties
+  7: optional i64 cameUs
+  8: optional i64 beginUs
+  9: optional i64 endUs
+  10: optional string fate
 }
 
 struct TChannelState {
@@ -125,6 +132,8 @@ struct TChannelState {
   7: string brokerProblem
   8: i64 waiting
   9: i64 oldestMs
+  10: optional i64 done
+  11: optional map<string, i64> lost
 }
 
 struct TChannelLook {
@@ -141,6 +150,9 @@ struct TChannelLook {
   11: i64 smallest
   12: i64 largest
   13: list<TSeenMessage> messages
+  14: optional string host
+  15: optional string clock
+  16: optional i64 wallUs
 }
 
 // A plugin that a gateway has.

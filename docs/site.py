@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[1]
 LINK = re.compile(r"\[([^\]]*)\]\(([^)#\s]+)(#[^)\s]*)?\)")
 TABS = (
     ("Start", ["README.md", "docs/tutorial.md", "docs/glance.md", "docs/comparison.md"]),
-    ("Guides", ["docs/guide.md", "docs/driver-sdk.md", "docs/topology-sdk.md", "docs/running.md", "docs/operating.md"]),
+    ("Guides", ["docs/guide.md", "docs/driver-sdk.md", "docs/topology-sdk.md", "docs/running.md", "docs/operating.md", "docs/placement.md"]),
     ("Reference", ["docs/reference/README.md", "topology/definition/README.md", "docs/wire.md", "discovery/selection/README.md",
                    "SECURITY.md", "CHANGELOG.md"]),
     ("Inside", ["docs/README.md", "docs/design.md", "docs/walks.md", "CONTRIBUTING.md"]),

@@ -89,8 +89,8 @@ enum class LogLevel { debug, info, warn, error };
 using HandlerId = std::uint64_t;
 
 /// The interface of the driver host to an instance. The host implements it, and mocks do in tests. The instance's event
-/// thread may call everything; any thread may call publish, post, log, fail and update_metadata. No call throws.
-/// Callbacks run on the instance's event thread, never two at a time, and none after close() began.
+/// thread may call everything; any thread may call publish, post, log, fail, update_metadata and those of finders. No
+/// call throws. Callbacks run on the instance's event thread, never two at a time, and none after close() began.
 class HostInterface {
  public:
   virtual ~HostInterface() = default;
@@ -121,6 +121,17 @@ class HostInterface {
   /// is no channel for readings. The host refuses, and logs, an empty key and metadata of more than 16 KiB in all.
   /// Thread safe.
   virtual void update_metadata(const PropertyMap& changes) noexcept = 0;
+  // These three are for finders: drivers that look for devices, of which a gateway's rules make instances
+  // (gateway/provisioning/README.md). Without such rules nobody hears what they tell. Thread safe.
+  /// Something was found, or is another than before. \param key names it, and nothing else that this instance finds, in
+  /// 1 to 256 bytes. \param attributes what a rule may use, 1 to 64 of them with at most 16 KiB in all. The host
+  /// refuses, and logs, more than that, and more than 10 000 things.
+  virtual void report_found(std::string_view key, const PropertyMap& attributes) noexcept = 0;
+  /// What was found under this key is there no longer.
+  virtual void report_gone(std::string_view key) noexcept = 0;
+  /// Whether this instance would see what is there now; false until it says so. While it does not see (its broker is
+  /// away, say), nothing counts as gone. When it sees again, it tells all that it finds again: the rest is gone.
+  virtual void report_sight(bool sees) noexcept = 0;
 };
 
 /// A driver's access to its host: HostInterface with shorter calls. It catches what a callback throws, on the plugin's
@@ -173,6 +184,12 @@ class DriverContext {
   void fail(std::string_view reason) { host_.fail(reason); }
   /// HostInterface::update_metadata(). Thread safe.
   void update_metadata(const PropertyMap& changes) { host_.update_metadata(changes); }
+  /// For finders: HostInterface::report_found(). Thread safe.
+  void report_found(std::string_view key, const PropertyMap& attributes) { host_.report_found(key, attributes); }
+  /// HostInterface::report_gone(). Thread safe.
+  void report_gone(std::string_view key) { host_.report_gone(key); }
+  /// HostInterface::report_sight(). Thread safe.
+  void report_sight(bool sees) { host_.report_sight(sees); }
 
  private:
   std::function<void()> guarded(std::function<void()> callback);

@@ -13,7 +13,7 @@
 namespace iotcloud::drivers {
 
 /// Raised with every change of the SDK after which plugins must be compiled again.
-#define IOTCLOUD_DRIVER_SDK_VERSION 6
+#define IOTCLOUD_DRIVER_SDK_VERSION 7
 inline constexpr std::uint32_t sdk_version = IOTCLOUD_DRIVER_SDK_VERSION;
 
 /// Compiler, C++ library and ABI: a host loads a plugin only if both agree on the layout of C++ types.

@@ -13,6 +13,7 @@
 #include <iotcloud/gateway/membership.h>
 #include <iotcloud/gateway/order_audit.h>
 #include <iotcloud/gateway/order_feed.h>
+#include <iotcloud/gateway/provisioning/provisioner.h>
 
 namespace iotcloud::gateway {
 
@@ -71,16 +72,37 @@ struct Gateway::Impl {
              options.followed_file),
         instances({options.id, options.registry, options.paths, options.launcher.get(), options.brokers,
                    options.restart, &clock, options.history_file, options.session_timeout},
-                  loop) {}
+                  loop) {
+    if (!options.provisioning) return;
+    Provisioner::Options rules;
+    rules.gateway = options.id;
+    rules.rules = *options.provisioning;
+    rules.file = options.provisioned_file;
+    rules.clock = &clock;
+    rules.metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
+    rules.run = [this](const auto& order, bool again) {
+      if (order.properties.contains("lease")) renew_leases();
+      instances.provision(order, again);
+    };
+    rules.end = [this](const auto& instance) { instances.forget(instance); };
+    provisioner.emplace(std::move(rules));
+    instances.on_found([this](const FoundReport& report) {
+      provisioner->heard(report);
+      provision();
+    });
+  }
 
   OrderFeed::Listener listener() {
     OrderFeed::Listener to;
     to.on_first = [this](const auto& names) { instances.ordered_at_first(names); };
     to.on_order = [this](const auto& order, std::int64_t version) {
-      if (order.properties.contains("lease")) renew_leases();
-      instances.follow(order, version);
+      followed(order, version);
+      provision();
     };
-    to.on_gone = [this](const auto& instance) { instances.forget(instance); };
+    to.on_gone = [this](const auto& instance) {
+      provisioner ? provisioner->unsaid(instance) : instances.forget(instance);
+      provision();
+    };
     to.present = [this] { return instances.present(); };
     to.without_record = [this](const auto& of) { return instances.without_record(of); };
     to.on_frozen = [this] { instances.publish_adopted(); };
@@ -90,7 +112,9 @@ struct Gateway::Impl {
     }
     to.on_orders_read = [this] {
       knows_registry = true;
+      if (feed.frozen().empty()) begin_provisioning(instances.left_by_rules());
       write_records();
+      provision();
     };
     return to;
   }
@@ -98,6 +122,9 @@ struct Gateway::Impl {
   // These functions run on the loop.
   void join(const std::shared_ptr<StartOutcome>& first);
   void joined();
+  void followed(const discovery::OrderRecord& order, std::int64_t version);
+  void begin_provisioning(const std::set<discovery::InstanceId>& left);
+  void provision();
   void write_records();
   void renew_leases();
   void alive_changed(const std::optional<discovery::Node>& node);
@@ -118,7 +145,9 @@ struct Gateway::Impl {
   std::optional<config::Clock::Instant> confirmed;  ///< when the registry was asked that last confirmed the place
   bool knows_registry = false;                      ///< the feed has read the orders since the last connection
   bool restore_due = false;                         ///< the registry may have lost records of this gateway
-  discovery::GuardPtr session_listener, alive_watch;
+  discovery::GuardPtr session_listener, alive_watch, drain_watch;
+  std::optional<HandlerId> provision_timer;
+  config::Clock::Instant provision_due{};
 
   std::atomic<bool> has_joined{false};
   config::Mutex mutex;
@@ -131,6 +160,7 @@ struct Gateway::Impl {
 
   EventLoop loop;  ///< after the members that callbacks on the loop use, so that it is destroyed before them
   OrderFeed feed;
+  std::optional<Provisioner> provisioner;
   OrderedInstances instances;  ///< destroyed first, because its fleet posts events to the loop
 };
 
@@ -190,6 +220,15 @@ discovery::ChannelLook Gateway::ask(const ChannelQuestion& question, millisecond
       fmt::format("the driver host of {} has not answered within {} ms{}", question.look.instance, limit.count(),
                   question.message ? ": the message waits for its driver, and what becomes of it is not known" : "");
   return none;
+}
+
+void Gateway::set_rules(ProvisioningRules rules) {
+  if (!impl_->provisioner) return;
+  impl_->loop.post([impl = impl_.get(), rules = std::move(rules)] {
+    if (impl->stopping) return;
+    impl->provisioner->set_rules(rules);
+    impl->provision();
+  });
 }
 
 bool Gateway::has_joined() const {
@@ -294,6 +333,15 @@ void Gateway::Impl::joined() {
     write_records();
     if (instances.leased()) renew_leases();
   });
+  if (provisioner) {
+    drain_watch = options.registry->watch_node(options.paths.gateway_draining(options.id),
+                                               [this](const std::optional<discovery::Node>& node) {
+                                                 loop.post([this, draining = node.has_value()] {
+                                                   provisioner->set_draining(draining);
+                                                   provision();
+                                                 });
+                                               });
+  }
   if (confirmed) instances.renew(*confirmed);
   if (options.plugins) {
     loop.start_timer(cleaning_pause, cleaning_pause, [this] {
@@ -301,6 +349,37 @@ void Gateway::Impl::joined() {
     });
   }
   feed.start();
+}
+
+void Gateway::Impl::followed(const discovery::OrderRecord& order, std::int64_t version) {
+  if (!order.made_by.empty()) {
+    if (provisioner) provisioner->said(order);
+    return;
+  }
+  if (provisioner) provisioner->ordered(order.instance);
+  if (order.properties.contains("lease")) renew_leases();
+  instances.follow(order, version);
+}
+
+/// \param left what rules of an earlier run of the gateway made, and runs on
+void Gateway::Impl::begin_provisioning(const std::set<discovery::InstanceId>& left) {
+  if (provisioner) return provisioner->begin(left);
+  for (const auto& instance : left) instances.forget(instance);  // there are no rules any more
+}
+
+/// Does what the rules have to do now, and comes back when more is due.
+void Gateway::Impl::provision() {
+  if (!provisioner || stopping) return;
+  const auto next = provisioner->work();
+  if (!next) return;
+  const auto due = clock.now() + *next;
+  if (provision_timer && provision_due <= due) return;
+  if (provision_timer) loop.stop_handler(*provision_timer);
+  provision_due = due;
+  provision_timer = loop.start_timer(*next, milliseconds{0}, [this] {
+    provision_timer.reset();
+    provision();
+  });
 }
 
 /// Writes the records, but not before the feed knows whether this is the registry that it knew: until then the feed
@@ -419,6 +498,7 @@ void Gateway::Impl::stop_orders() {
   feed.stop();
   session_listener.reset();
   alive_watch.reset();
+  drain_watch.reset();
 }
 
 void Gateway::Impl::finish_stop(const std::shared_ptr<std::promise<void>>& done) {

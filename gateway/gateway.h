@@ -16,6 +16,7 @@
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/placement.h>
 #include <iotcloud/gateway/ordered_instances.h>
+#include <iotcloud/gateway/provisioning/rules.h>
 #include <iotcloud/processes/plugin_store.h>
 #include <iotcloud/security/audit_log.h>
 #include <iotcloud/security/trusted_keys.h>
@@ -44,8 +45,11 @@ struct GatewayOptions {
   std::string history_file;   ///< keeps changes of state across restarts (ChangeFile); empty: memory only
   std::chrono::milliseconds session_timeout{10000};
   RestartPolicy restart;
-  std::chrono::milliseconds retry_pause{1000};  ///< until the next attempt at what the registry did not permit
-  const config::Clock* clock = nullptr;         ///< nullptr: the system's
+  std::optional<ProvisioningRules> provisioning;  ///< rules by which the gateway makes instances itself
+  std::string provisioned_file;                   ///< see Provisioner::Options::file
+  std::chrono::milliseconds retry_pause{1000};    ///< until the next attempt at what the registry did not permit
+  const config::Clock* clock = nullptr;           ///< nullptr: the system's
+  config::Metrics* metrics = nullptr;             ///< of the rules; nullptr: the process's
   /// Called once, on the gateway's thread, when another process has taken the gateway's place in the registry, which
   /// may happen after this one was cut off: its driver hosts have ended, and it does nothing any more. \param why for
   /// people
@@ -79,6 +83,9 @@ class Gateway final : public config::DaemonService {
 
   /// Shows in the gateway's record what its drivers cannot do now; empty: nothing is known. Returns at once.
   void show_trouble(const std::string& text);
+
+  /// Other rules count from now on; without GatewayOptions::provisioning nothing happens. Returns at once.
+  void set_rules(ProvisioningRules rules);
 
   const discovery::GatewayId& id() const;
   /// Whether the id was this gateway's at some time since start(): until then its orders may be another gateway's.

@@ -130,8 +130,7 @@ void read_hosts(config::YamlSection& file, GatewayConfig& config) {
     }
     const auto& variable = broker.options.password_variable;
     if (!variable.empty()) hosts.environment.push_back(variable);
-    if (!hosts.confinement.files) continue;
-    for (const auto& [key, path] : brokers::files_of(broker.options)) hosts.confinement.files->read.push_back(path);
+    for (const auto& [key, path] : brokers::files_of(broker.options)) hosts.broker_files.push_back(path);
   }
   processes::read_log_limits(file, "host_", hosts.log_limit_mb, hosts.logs_kept);
   processes::read_restarts(file, "host_", config.gateway.restart);
@@ -192,6 +191,10 @@ GatewayConfig read_gateway(config::YamlSection& file) {
   gateway.order_keys = config.order_keys = security::read_trusted_masters(file);
   config.hosts.state_dir = file.require_string("state");
   read_hosts(file, config);
+  config.provisioning_file = file.string_or("provisioning", "");
+  if (!config.provisioning_file.empty() && file.runs_here()) {
+    file.check("provisioning", [&] { gateway.provisioning = ProvisioningRules::load(config.provisioning_file); });
+  }
   config.pages = rpc::read_page_settings(file);
   // run_daemon() applies them; they are read here only so that finish() knows the keys
   config::read_log_settings(file);

@@ -18,6 +18,7 @@ struct GatewayConfig {
   std::shared_ptr<security::TrustedKeys> trust;  ///< the keys whose signatures on plugins are trusted
   std::shared_ptr<security::TrustedKeys>
       order_keys;                        ///< the masters' keys, also in `gateway`; null: none are asked for
+  std::string provisioning_file;         ///< whose rules are in `gateway`; empty: there is none
   std::int64_t plugin_upload_limit = 0;  ///< the largest uploaded plugin, in bytes
   SiteService::Options thrift;           ///< `audit` is not set
   security::AuditSettings audit;  ///< of the orders to the Thrift service and, if they are signed, in the registry

@@ -62,8 +62,11 @@ class GatewayDaemon final : public config::DaemonService {
     options.state_id = state_->id();
     options.history_file = state_->path() + "/history.jsonl";
     options.followed_file = state_->path() + "/followed-orders.jsonl";
+    options.provisioned_file = state_->path() + "/provisioned.jsonl";
     config_.hosts.brokers = std::make_shared<gateway::HostBrokers>();
-    options.launcher = std::make_shared<gateway::ProcessLauncher>(config_.hosts);
+    config_.hosts.troubles = std::make_shared<gateway::HostTroubles>();
+    launcher_ = std::make_shared<gateway::ProcessLauncher>(config_.hosts);
+    options.launcher = launcher_;
     options.plugins = config_.hosts.store;
     options.on_replaced = [](const std::string&) {  // it has said why in the log
       replaced = true;
@@ -86,6 +89,8 @@ class GatewayDaemon final : public config::DaemonService {
     parts.part([&] { config_.trust->reload(); });
     if (config_.order_keys) parts.part([&] { config_.order_keys->reload(); });
     parts.part([&] { service_->reload(); });
+    if (!config_.provisioning_file.empty())
+      parts.part([&] { gateway_->set_rules(gateway::ProvisioningRules::load(config_.provisioning_file)); });
     if (metrics_) parts.part([&] { metrics_->reload(); });
     parts.finish();
   }
@@ -109,15 +114,20 @@ class GatewayDaemon final : public config::DaemonService {
   static constexpr std::chrono::milliseconds thrift_share{500};
   static constexpr std::chrono::milliseconds look_pause{250};
 
-  /// Shows in the gateway's record which brokers its drivers cannot reach, and since when, for `iotcloud gateways`.
+  /// Shows in the gateway's record which brokers its drivers cannot reach, and which instances hang or lose messages,
+  /// and since when, for `iotcloud gateways` and the console; and gives confined hosts the brokers' files that were
+  /// replaced.
   void watch_brokers(const std::stop_token& stop) {
     config::Mutex mutex;
     config::StoppableConditionVariable end;
     std::string shown;
     const config::MutexLock lock(mutex);
     while (!end.wait_for(mutex, stop, look_pause, [&] { return stop.stop_requested(); })) {
-      const std::string away = config_.hosts.brokers->trouble(config::system_clock().now());
-      if (away != std::exchange(shown, away)) gateway_->show_trouble(away);
+      std::string trouble = config_.hosts.brokers->trouble(config::system_clock().now());
+      const std::string of_instances = config_.hosts.troubles->trouble();
+      if (!of_instances.empty()) trouble += (trouble.empty() ? "" : "; ") + of_instances;
+      if (trouble != std::exchange(shown, trouble)) gateway_->show_trouble(trouble);
+      launcher_->renew_broker_files();
     }
   }
 
@@ -126,6 +136,7 @@ class GatewayDaemon final : public config::DaemonService {
   std::optional<security::CertificateDays> certificate_days_;  ///< of those that driver hosts show to brokers
   std::optional<processes::StateFolder> state_;
   std::unique_ptr<discovery::Registry> registry_;
+  std::shared_ptr<gateway::ProcessLauncher> launcher_;
   std::optional<gateway::Gateway> gateway_;
   std::optional<gateway::SiteService> service_;
   std::jthread watching_;                        ///< watch_brokers()

@@ -20,7 +20,9 @@ namespace {
 
 /// Whether a running instance must be replaced to follow the new order.
 bool differs_in_making(const OrderRecord& a, const OrderRecord& b) {
-  return a.driver != b.driver || a.version() != b.version() || a.properties != b.properties;
+  // A host keeps what it was given, so it would say that a rule made what a master has ordered since.
+  return a.driver != b.driver || a.version() != b.version() || a.properties != b.properties ||
+         a.made_by.empty() != b.made_by.empty();
 }
 
 }  // namespace
@@ -52,7 +54,8 @@ void OrderedInstances::publish_adopted() {
 std::set<discovery::InstanceId> OrderedInstances::present() const {
   std::set<discovery::InstanceId> present;
   for (const auto& [instance, entry] : entries_) {
-    if (!entry.removing || entry.next) present.insert(instance);
+    const bool is_ordered = (entry.next ? *entry.next : entry.order).made_by.empty();
+    if (is_ordered && (!entry.removing || entry.next)) present.insert(instance);
   }
   return present;
 }
@@ -80,7 +83,7 @@ void OrderedInstances::ordered_at_first(const std::set<discovery::InstanceId>& n
   remove_stale_records(names);
   std::vector<discovery::InstanceId> not_ordered;
   for (const auto& [instance, entry] : entries_) {
-    if (!names.contains(instance)) not_ordered.push_back(instance);
+    if (!names.contains(instance) && entry.order.made_by.empty()) not_ordered.push_back(instance);
   }
   for (const auto& instance : not_ordered) forget(instance);
 }
@@ -94,8 +97,32 @@ void OrderedInstances::follow(const OrderRecord& order, std::int64_t version) {
   }
   Entry& entry = found->second;
   const bool first_sight = std::exchange(entry.order_version, version) == -1;
+  bring_to(entry, order, !first_sight);
+}
+
+void OrderedInstances::provision(const OrderRecord& order, bool again) {
+  const auto found = entries_.find(order.instance);
+  if (found == entries_.end()) {
+    create(order, -1);
+  } else {
+    found->second.order_version = -1;
+    bring_to(found->second, order, again);
+  }
+}
+
+std::set<discovery::InstanceId> OrderedInstances::left_by_rules() const {
+  std::set<discovery::InstanceId> left;
+  for (const auto& [instance, entry] : entries_) {
+    if (entry.adopted && !entry.order.made_by.empty() && !(unread_ && unread_->contains(instance)))
+      left.insert(instance);
+  }
+  return left;
+}
+
+/// Changes how an instance runs. \param again start it again if it failed
+void OrderedInstances::bring_to(Entry& entry, const OrderRecord& order, bool again) {
   const bool failed = entry.status.state == DriverState::failed;
-  const bool to_start_again = failed && order.active && !first_sight;
+  const bool to_start_again = failed && order.active && again;
   if (entry.removing || to_start_again || differs_in_making(entry.order, order)) {
     replace(entry, order);
     return;
@@ -211,6 +238,7 @@ DriverRecord OrderedInstances::record_for(const Entry& entry) const {
   record.metadata.insert(entry.order.metadata.begin(), entry.order.metadata.end());
   record.channels = entry.status.channels;
   record.deployment = entry.order.name;
+  record.made_by = entry.order.made_by;
   record.index = entry.order.index;
   record.plugin = entry.order.plugin;
   record.sha256 = entry.order.sha256.empty() ? entry.status.plugin.sha256 : entry.order.sha256;

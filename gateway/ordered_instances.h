@@ -43,6 +43,13 @@ class OrderedInstances {
   void ordered_at_first(const std::set<discovery::InstanceId>& names);
   /// Follows a new or changed order. \param version the version of the order's node in the registry
   void follow(const discovery::OrderRecord& order, std::int64_t version);
+  /// Runs an instance that this gateway's own rules make (Provisioner), until forget(). \param again start it again if
+  /// it failed
+  void provision(const discovery::OrderRecord& order, bool again);
+  /// The adopted instances that rules made, and of which no order in the registry is to be read yet.
+  std::set<discovery::InstanceId> left_by_rules() const;
+  /// See HostFleet::on_found().
+  void on_found(HostFleet::OnFound told) { fleet_.on_found(std::move(told)); }
   /// The order was removed: removes the instance and its record.
   void forget(const discovery::InstanceId& instance);
   /// The registry last confirmed the gateway's place at that time; instances with a lease run on it.
@@ -64,7 +71,7 @@ class OrderedInstances {
   void restore_records() { records_.restore(); }
   /// Puts the records of adopted instances whose orders are not followed yet.
   void publish_adopted();
-  /// The ordered and the adopted instances, without those that are being removed for good.
+  /// The ordered and the adopted instances, without those that are being removed for good and those of rules.
   std::set<discovery::InstanceId> present() const;
   /// Those of these instances of which the registry once had a record by this gateway, and has none now.
   /// \throws discovery::RegistryError.
@@ -114,6 +121,7 @@ class OrderedInstances {
   };
 
   void create(const discovery::OrderRecord& order, std::int64_t version);
+  void bring_to(Entry& entry, const discovery::OrderRecord& order, bool again);
   void replace(Entry& entry, const discovery::OrderRecord& order);
   void refuse(Entry& entry, const std::string& reason);
   void heard(const InstanceStatus& status);

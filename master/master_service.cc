@@ -14,6 +14,9 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/api/worker_pages.h>
+#include <iotcloud/master/console/api_calls.h>
+#include <iotcloud/master/console/console.h>
 #include <iotcloud/master/logger.h>
 #include <iotcloud/master/master.h>
 #include <iotcloud/master/master_service.h>
@@ -119,7 +122,9 @@ class MasterService final : public config::DaemonService {
     access.pools = {config_.api.tls, config_.pool_token_file};
     relay_ = std::make_unique<LibraryRelay>(*master_, *registry_,
                                             LibraryRelay::Options{.paths = options.paths, .access = access.pools});
-    api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), serve_api(*master_, access));
+    const auto served = serve_api(*master_, access);
+    api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), served);
+    if (!config_.console.pages.address.empty()) start_console(served, access.workers);
     if (original_) {
       original_->start([this] { return master_->status().leading; });
       gateways_ = std::make_unique<rpc::ThriftServer>(
@@ -141,6 +146,7 @@ class MasterService final : public config::DaemonService {
     if (tokens_) parts.part([&] { tokens_->reload(); });
     parts.part([&] { api_->reload(); });  // after the tokens: it closes connections whose token is gone
     if (metrics_) parts.part([&] { metrics_->reload(); });
+    if (console_) parts.part([&] { console_->reload(); });
     parts.finish();
   }
 
@@ -153,8 +159,29 @@ class MasterService final : public config::DaemonService {
   ~MasterService() override { end(); }  // frees what start() made before it threw
 
  private:
+  void start_console(const rpc::ThriftService& served, const WorkerAccess& workers) {
+    Live::Source source;
+    source.status = [this] { return master_->status(); };
+    source.drivers = [this] { return master_->drivers(); };
+    source.gateways = [this] { return master_->gateways(); };
+    source.topologies = [this] { return master_->topologies(); };
+    source.worker_page = [this, workers](const auto& topology, const auto& worker) {
+      return read_worker_page(*master_, workers, topology, worker, "/topology");
+    };
+    Console::Options options{.settings = config_.console,
+                             .id = config_.id,
+                             .tokens = tokens_,
+                             .users = config_.api.users,
+                             .open = config_.api.open,
+                             .audit_file = config_.audit.file};
+    calls_ = calls_of_api(served);
+    console_ = std::make_unique<Console>(std::move(options), std::move(source), *calls_);
+    logger.info("{}: console at {}", config_.id, console_->url());
+  }
+
   void end() {
     if (master_) master_->close();  // orders under way return at once, so that the servers can end
+    console_.reset();
     metrics_.reset();
     api_.reset();
     gateways_.reset();
@@ -175,6 +202,8 @@ class MasterService final : public config::DaemonService {
   std::unique_ptr<rpc::ThriftServer> api_;
   std::unique_ptr<rpc::ThriftServer> gateways_;
   std::unique_ptr<rpc::MetricsEndpoint> metrics_;
+  std::unique_ptr<ConsoleCalls> calls_;
+  std::unique_ptr<Console> console_;
 };
 
 MasterDaemonConfig read_master(config::YamlSection& top) {
@@ -211,6 +240,7 @@ MasterDaemonConfig read_master(config::YamlSection& top) {
   }
   config.audit = security::read_audit(top);
   config.pages = rpc::read_page_settings(top);
+  config.console = read_console_settings(top, config.api.tokens);
   if (auto orders = top.optional_section("orders")) {
     config.outcome_timeout =
         std::chrono::duration_cast<milliseconds>(orders->duration_or("wait", config.outcome_timeout));

@@ -7,6 +7,7 @@
 
 #include <iotcloud/config/daemon/daemon.h>
 #include <iotcloud/discovery/registry.h>
+#include <iotcloud/master/console/console_settings.h>
 #include <iotcloud/rpc/http/page_settings.h>
 #include <iotcloud/rpc/listen_settings.h>
 #include <iotcloud/security/audit_log.h>
@@ -27,6 +28,7 @@ struct MasterDaemonConfig {
   std::string pool_token_file;     ///< PoolAccess::token_file
   security::AuditSettings audit;
   rpc::PageSettings pages;  ///< /metrics and /healthz
+  ConsoleSettings console;
   std::string signing_key;  ///< file of the private key that signs orders to gateways; empty: unsigned
   /// The keys of all masters; null: this one signs what it makes of an order, whoever wrote the order.
   std::shared_ptr<security::TrustedKeys> order_keys;

@@ -102,7 +102,11 @@ void ChildAccount::let_use(const std::string& folder) const {
 }
 
 void ChildAccount::let_read(const std::string& file) const {
-  if (chown(file.c_str(), as_before, account_.group) != 0 || chmod(file.c_str(), owner_only | S_IRGRP) != 0)
+  struct stat status {};
+  constexpr mode_t rights = owner_only | S_IRGRP;
+  if (stat(file.c_str(), &status) == 0 && status.st_gid == account_.group && (status.st_mode & ALLPERMS) == rights)
+    return;
+  if (chown(file.c_str(), as_before, account_.group) != 0 || chmod(file.c_str(), rights) != 0)
     throw failed(file, fmt::format("be made readable for the user {}", account_.name));
 }
 

@@ -23,7 +23,8 @@ class ChildAccount {
   /// there of processes that ran under this process's account is given to the other one, or shared.
   /// \throws config::Error if it cannot, because the folder belongs to a third account, for example
   void let_use(const std::string& folder) const;
-  /// Lets the account's group read a file of this process. \throws config::Error
+  /// Lets the account's group read a file of this process. Does not touch one that the group may read already, so that
+  /// its stamp (config::stamp_of()) stays. \throws config::Error
   void let_read(const std::string& file) const;
   /// Makes a file, such as a log, which the account may write to but not rename. \throws config::Error if it cannot.
   void make_file(const std::string& file) const;

@@ -23,7 +23,10 @@ security::Role role_without_token(const AccessOptions& options, const ThriftPeer
 
 CallerSession::CallerSession(const AccessOptions& options, std::shared_ptr<ThriftPeer> peer)
     : options_(options), peer_(std::move(peer)), local_role_(role_without_token(options_, *peer_)) {
-  if (options_.tokens) {
+  if (options_.tokens && peer_->vouched()) {
+    holder_ = peer_->vouched();
+    peer_->set_identity(holder_->name);
+  } else if (options_.tokens) {
     peer_->ask_who_it_is();
   } else if (peer_->user()) {
     peer_->set_identity(caller());

@@ -12,6 +12,7 @@
 #include <sys/types.h>
 
 #include <iotcloud/security/tls.h>
+#include <iotcloud/security/tokens.h>
 
 namespace apache::thrift {
 class TProcessor;
@@ -41,6 +42,10 @@ class ThriftPeer {
     identity_ = std::move(identity);
     named_ = true;
   }
+  /// Who calls, of whom this process has seen a token that counts: a session (session.h) takes it as shown. For a peer
+  /// without a connection, for whom this process calls its own service, such as a person at the console.
+  void vouch(security::TokenEntry holder) { vouched_ = std::move(holder); }
+  const std::optional<security::TokenEntry>& vouched() const { return vouched_; }
   /// Asked now and then, on any thread, whether the peer may keep its connection.
   void set_validity(std::function<bool()> is_valid) { is_valid_ = std::move(is_valid); }
   std::function<bool()> take_validity() { return std::exchange(is_valid_, {}); }
@@ -67,6 +72,7 @@ class ThriftPeer {
   const std::string certificate_;
   std::string identity_;
   std::optional<uid_t> user_;
+  std::optional<security::TokenEntry> vouched_;
   std::shared_ptr<void> held_;
   std::function<bool()> is_valid_;
   std::atomic<bool> trusted_{false};

@@ -7,8 +7,9 @@
 
 namespace iotcloud::security {
 
-ServerTls::ServerTls(const std::string& service, TlsFiles files)
+ServerTls::ServerTls(const std::string& service, TlsFiles files, TlsContext::Side side)
     : files_(std::move(files)),
+      side_(side),
       days_left_(files_.empty() ? nullptr
                                 : &config::process_metrics().gauge("iotcloud_certificate_days_left",
                                                                    "Days until a service's certificate expires",
@@ -26,7 +27,7 @@ void ServerTls::read() {
   // Before the files are read: look() notices one that is replaced meanwhile, and reads one that is of no use again
   // only when it has changed.
   seen_ = stamps();
-  auto fresh = std::make_shared<const TlsContext>(files_, TlsContext::Side::server);
+  auto fresh = std::make_shared<const TlsContext>(files_, side_);
   const config::MutexLock lock(mutex_);
   context_ = std::move(fresh);
 }

@@ -15,8 +15,9 @@ namespace iotcloud::security {
 /// iotcloud_certificate_days_left{service}. Thread safe.
 class ServerTls {
  public:
-  /// \param service the metric's label. \param files empty: no TLS. \throws config::Error that names the unusable file
-  ServerTls(const std::string& service, TlsFiles files);
+  /// \param service the metric's label. \param files empty: no TLS. \param side server or site
+  /// \throws config::Error that names the unusable file
+  ServerTls(const std::string& service, TlsFiles files, TlsContext::Side side = TlsContext::Side::server);
 
   /// Reads the files. \throws config::Error that names the unusable file; then what was read before counts.
   void reload();
@@ -32,6 +33,7 @@ class ServerTls {
   void read() IOTCLOUD_REQUIRES(reading_);
 
   const TlsFiles files_;
+  const TlsContext::Side side_;
   config::Gauge* const days_left_;  ///< null: no TLS
   config::Mutex reading_;  ///< one reading at a time, so that the last one that begins is the last one that counts
   Stamps seen_ IOTCLOUD_GUARDED_BY(reading_){};

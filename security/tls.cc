@@ -138,7 +138,7 @@ int no_password(char*, int, int, void*) {
 }  // namespace
 
 TlsContext::TlsContext(const TlsFiles& files, Side side)
-    : context_(SSL_CTX_new(side == Side::server ? TLS_server_method() : TLS_client_method())), side_(side) {
+    : context_(SSL_CTX_new(side == Side::client ? TLS_client_method() : TLS_server_method())), side_(side) {
   const std::unique_ptr<SSL_CTX, decltype(&SSL_CTX_free)> owned(context_, SSL_CTX_free);
   const auto must = [](bool done, const char* what, const std::string& file) {
     if (!done) throw config::Error(fmt::format("{} {} cannot be used: {}", what, file, tls_error()));
@@ -151,9 +151,10 @@ TlsContext::TlsContext(const TlsFiles& files, Side side)
   SSL_CTX_set_num_tickets(context_, 0);
   SSL_CTX_set_mode(context_, SSL_MODE_ENABLE_PARTIAL_WRITE | SSL_MODE_ACCEPT_MOVING_WRITE_BUFFER);
   SSL_CTX_set_default_passwd_cb(context_, no_password);
-  SSL_CTX_set_verify(context_, SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT, nullptr);
+  SSL_CTX_set_verify(context_, side == Side::site ? SSL_VERIFY_PEER : SSL_VERIFY_PEER | SSL_VERIFY_FAIL_IF_NO_PEER_CERT,
+                     nullptr);
   must(SSL_CTX_load_verify_locations(context_, files.ca.c_str(), nullptr) == 1, "the authorities' file", files.ca);
-  if (side == Side::server) SSL_CTX_set_client_CA_list(context_, SSL_load_client_CA_file(files.ca.c_str()));
+  if (side != Side::client) SSL_CTX_set_client_CA_list(context_, SSL_load_client_CA_file(files.ca.c_str()));
   must(SSL_CTX_use_certificate_chain_file(context_, files.certificate.c_str()) == 1, "the certificate",
        files.certificate);
   must(SSL_CTX_use_PrivateKey_file(context_, files.key.c_str(), SSL_FILETYPE_PEM) == 1, "the private key", files.key);
@@ -196,7 +197,7 @@ std::string TlsContext::distrust(const ShownCertificate& shown) const {
 bool TlsContext::has_authority_of(const ShownCertificate& shown) const {
   const std::unique_ptr<X509_STORE_CTX, decltype(&X509_STORE_CTX_free)> check(X509_STORE_CTX_new(),
                                                                               X509_STORE_CTX_free);
-  const char* const use = side_ == Side::server ? "ssl_client" : "ssl_server";
+  const char* const use = side_ == Side::client ? "ssl_server" : "ssl_client";
   bool certified =
       check &&
       X509_STORE_CTX_init(check.get(), SSL_CTX_get_cert_store(context_), shown.own.get(), shown.between.get()) == 1 &&

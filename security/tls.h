@@ -39,11 +39,13 @@ struct ShownCertificate {
 ShownCertificate shown_certificate(const ssl_st* ssl);
 
 /// The settings that all connections of one side share: TLS 1.2 or later; both sides show a certificate of the
-/// authority. Sessions are not resumed, so that every connection is checked anew. Thread safe.
+/// authority, but for the readers of a site. Sessions are not resumed, so that every connection is checked anew. Thread
+/// safe.
 class TlsContext {
  public:
-  /// Which end of a connection it is for.
-  enum class Side { server, client };
+  /// Which end of a connection it is for. `site`: a server of people's browsers, which need not show a certificate; one
+  /// that they show must be of the authority.
+  enum class Side { server, client, site };
   /// \throws Error that names the unusable file.
   TlsContext(const TlsFiles& files, Side side);
   ~TlsContext();

@@ -45,8 +45,11 @@ class BasicOutputCollector {
  public:
   BasicOutputCollector(OutputCollector& collector, const Tuple& input) : collector_(collector), input_(input) {}
   /// \throws std::invalid_argument for values that do not fit the stream's fields.
-  void emit(Values values) { collector_.emit(input_, std::move(values)); }
-  void emit_to(std::string_view stream, Values values) { collector_.emit_to(stream, {&input_, 1}, std::move(values)); }
+  void emit(Values values) { emit_to(default_stream, std::move(values)); }
+  void emit_to(std::string_view stream, Values&& values) {
+    collector_.do_emit(stream, {&input_, 1}, std::move(values), OutputCollector::no_task);
+  }
+  void emit_to(std::string_view stream, const Values& values) { emit_to(stream, Values(values)); }
   /// Counts and logs an error of this task, and keeps its text for the snapshot; the tuple does not fail.
   void report_error(const std::string& text) { collector_.report_error(text); }
 

@@ -75,6 +75,7 @@ struct ConfOption {
 template <typename Options>
 std::vector<ConfKey> keys_of(const std::vector<ConfOption<Options>>& declared) {
   std::vector<ConfKey> keys;
+  keys.reserve(declared.size());
   for (const auto& option : declared) keys.push_back(option.key);
   return keys;
 }

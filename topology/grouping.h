@@ -25,6 +25,22 @@ class Grouping {
   virtual void choose(const Values& values, std::vector<int>& chosen) = 0;
 };
 
+namespace detail {
+
+/// A grouping that chooses one task for each tuple. The runtime asks it for the task's place, which needs no list.
+class ToOneGrouping : public Grouping {
+ public:
+  void prepare(const TopologyContext&, const Fields&, std::span<const int> targets) override { targets_ = targets; }
+  void choose(const Values& values, std::vector<int>& chosen) final { chosen.push_back(targets_[place(values)]); }
+  /// \return the chosen task's place among the targets.
+  virtual std::size_t place(const Values& values) = 0;
+
+ protected:
+  std::span<const int> targets_;
+};
+
+}  // namespace detail
+
 using GroupingFactory = std::function<std::unique_ptr<Grouping>()>;
 
 /// The names of the groupings in YAML: shuffle (the tasks in turn), fields (tuples with the same key go to the same

@@ -13,6 +13,9 @@
 
 namespace iotcloud::topology {
 
+class BasicOutputCollector;
+struct TopologyContext;
+
 /// A component declares to it the streams that it emits, before the topology runs.
 class OutputFieldsDeclarer {
  public:
@@ -25,6 +28,21 @@ class OutputFieldsDeclarer {
 /// The id that a spout gives a tracked tuple; ack() and fail() get it back.
 using MessageId = std::uint64_t;
 
+/// Is told what happens to the tuples of one message. The runtime calls it on its threads; a call is short, and throws
+/// nothing. Times are nanoseconds of the topology's clock; a tuple's address names it until it is settled. Thread safe.
+class TupleTrace {
+ public:
+  virtual ~TupleTrace() = default;
+  /// A task has emitted a tuple.
+  virtual void emitted(const TopologyContext& task, const detail::TupleData& tuple, std::int64_t at_ns) noexcept = 0;
+  /// A bolt's task has executed a tuple.
+  virtual void executed(const TopologyContext& task, const detail::TupleData& tuple, std::int64_t begin_ns,
+                        std::int64_t end_ns) noexcept = 0;
+  /// A bolt's task has acked a tuple, or failed it. Only the first call of a tuple counts.
+  virtual void settled(const TopologyContext& task, const detail::TupleData& tuple, std::int64_t at_ns,
+                       bool acked) noexcept = 0;
+};
+
 /// Where messages of a spout come from, such as a reader at a broker. Thread safe.
 class TupleOrigin {
  public:
@@ -32,6 +50,8 @@ class TupleOrigin {
   /// Whether its messages come again by themselves, here or to another reader, so that nobody waits for their tuples
   /// any more. Once it is true it stays so.
   virtual bool comes_again() const = 0;
+  /// What is told of the message's tuples while Runtime::trace() is on; nullptr: nothing. It lives as long as this.
+  virtual TupleTrace* trace() const { return nullptr; }
 };
 
 /// How a spout emits. Only the spout's own calls may use it. emit never blocks and never drops a tuple; it throws
@@ -108,6 +128,7 @@ class OutputCollector {
   virtual void report_error(const std::string& text) = 0;
 
  protected:
+  friend class BasicOutputCollector;  // does not move the values once more
   static constexpr int no_task = -1;  ///< for `task`: the groupings choose the receivers
   virtual void do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) = 0;
 };

@@ -73,7 +73,7 @@ class ComponentRegistry {
 };
 
 /// Raised with every change of the SDK after which component libraries must be compiled again.
-#define IOTCLOUD_TOPOLOGY_SDK_VERSION 6
+#define IOTCLOUD_TOPOLOGY_SDK_VERSION 8
 inline constexpr std::uint32_t sdk_version = IOTCLOUD_TOPOLOGY_SDK_VERSION;
 
 /// This text, the version and a ';' stand in a library's bytes: what it was built with is known also when it cannot be

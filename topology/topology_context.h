@@ -1,6 +1,8 @@
 #pragma once
 
+#include <atomic>
 #include <chrono>
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
@@ -48,6 +50,15 @@ class Troubles {
   virtual void set(const std::string& component, const std::string& part, const std::string& text) = 0;
 };
 
+/// What a task keeps in memory now, for the worker's page and its metrics; -1: it keeps nothing of the kind. The task
+/// sets it, any thread reads it.
+struct Holdings {
+  std::atomic<std::int64_t> window_tuples{-1};  ///< tuples that later windows may hold
+  std::atomic<std::int64_t> state_entries{
+      -1};                                    ///< keys of its state; of a shared store those since the last checkpoint
+  std::atomic<std::int64_t> state_bytes{-1};  ///< of these keys and their values, a few seconds old
+};
+
 /// A task's place in the topology. Constant; lives as long as the task.
 struct TopologyContext {
   std::string topology;   ///< the topology's name
@@ -66,6 +77,7 @@ struct TopologyContext {
   /// something else chooses it.
   std::vector<Fields> input_keys;
   Troubles* troubles = nullptr;  ///< never null in a running task
+  Holdings* holdings = nullptr;  ///< the task's; null where nobody asks for them (Storm)
 };
 
 }  // namespace iotcloud::topology

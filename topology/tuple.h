@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <string>
 #include <string_view>
+#include <type_traits>
 #include <utility>
 
 #include <iotcloud/topology/fields.h>
@@ -13,8 +14,10 @@
 namespace iotcloud::topology {
 
 namespace internal {
+struct MoreDeliveries;
+class Task;
 struct Tree;
-}
+}  // namespace internal
 
 namespace detail {
 
@@ -25,11 +28,29 @@ struct StreamInfo {
   Fields fields;
 };
 
-/// One emitted tuple, shared by all tasks that receive it. The runtime makes and recycles it.
+/// One task's delivery of a tracked tuple: what the runtime needs to settle it. All receivers of the tuple read
+/// `receiver`; only the receiver itself uses the rest.
+struct Delivery {
+  const internal::Task* receiver = nullptr;
+  std::uint64_t change = 0;  ///< XOR of its own id and the ids of what was emitted with it as the only anchor
+  /// When the execute() began that returned without ack or fail; 0: none did; `settled`: acked, failed or dropped.
+  std::int64_t executed_ns = 0;
+  static constexpr std::int64_t settled = -1;
+  bool is_open() const { return executed_ns != settled; }
+  bool is_open_for(const internal::Task* task) const { return receiver == task && is_open(); }
+};
+
+/// One emitted tuple, shared by all tasks that receive it. The runtime makes and recycles it. What it needs for a tuple
+/// of one value and one receiver is in the first two cache lines, tracked or not.
 struct TupleData {
   virtual ~TupleData() = default;
   /// Called when the last handle is destroyed.
   virtual void recycle() noexcept = 0;
+  /// Gives up one handle. \return true when it was the last one, after which recycle() must be called.
+  bool let_go() noexcept {
+    // The last handle skips the atomic decrement: no other thread has a handle that it could copy.
+    return handles.load(std::memory_order_acquire) == 1 || handles.fetch_sub(1, std::memory_order_acq_rel) == 1;
+  }
 
   std::atomic<std::uint32_t> handles{0};
   int source_task = -1;
@@ -38,6 +59,8 @@ struct TupleData {
   /// The topology's clock when the runtime called the next_tuple() that emitted the root of this tuple's tree; 0: not
   /// recorded, because no component has a deadline and RuntimeOptions::births is false.
   std::int64_t born_ns = 0;
+  Delivery first;                            ///< for the runtime: delivery to the first receiver, if tracked
+  internal::MoreDeliveries* more = nullptr;  ///< for the runtime
   Values values;
 };
 
@@ -63,12 +86,7 @@ class Tuple {
     return *this;
   }
   ~Tuple() {
-    if (data_ == nullptr) return;
-    // The last handle skips the atomic decrement: no other thread has a handle that it could copy.
-    if (data_->handles.load(std::memory_order_acquire) == 1 ||
-        data_->handles.fetch_sub(1, std::memory_order_acq_rel) == 1) {
-      data_->recycle();
-    }
+    if (data_ != nullptr && data_->let_go()) data_->recycle();
   }
 
   std::size_t size() const { return data_->values.size(); }
@@ -87,15 +105,15 @@ class Tuple {
   const Value& at(std::string_view field) const;
   bool has(std::string_view field) const { return fields().find(field).has_value(); }
 
-  /// The field as T: bool, std::int64_t, double, std::string or Payload.
+  /// The field as T: bool, std::int64_t, double, std::string or Payload, by reference; or std::string_view of a string.
   /// \throws std::out_of_range for an unknown field, std::invalid_argument for a value of another kind.
   template <typename T>
-  const T& get(std::string_view field) const {
-    return as<T>(at(field), field);
+  decltype(auto) get(std::string_view field) const {
+    return as<T>(at(field));
   }
   template <typename T>
-  const T& get(std::size_t i) const {
-    return as<T>(at(i), i < fields().size() ? std::string_view(fields()[i]) : "");
+  decltype(auto) get(std::size_t i) const {
+    return as<T>(at(i));
   }
 
   detail::TupleData* data() const { return data_; }  ///< for the runtime
@@ -106,12 +124,20 @@ class Tuple {
     if (data_) data_->handles.fetch_add(1, std::memory_order_relaxed);
   }
   template <typename T>
-  const T& as(const Value& value, std::string_view field) const {
+  requires std::is_same_v<T, std::string_view> std::string_view as(const Value& value)
+  const { return as<std::string>(value); }
+  /// \param value one of this tuple's.
+  template <typename T>
+  const T& as(const Value& value) const {
     if (const T* found = std::get_if<T>(&value)) return *found;
-    wrong_kind(value, field, kind_of(Value(T{})));
+    refuse<T>(value);
+  }
+  template <typename T>
+  [[noreturn, gnu::noinline, gnu::cold]] void refuse(const Value& value) const {
+    wrong_kind(value, kind_of(Value(T{})));
   }
   [[noreturn]] void no_field(std::size_t i) const;
-  [[noreturn]] void wrong_kind(const Value& value, std::string_view field, const char* wanted) const;
+  [[noreturn]] void wrong_kind(const Value& value, const char* wanted) const;
 
   detail::TupleData* data_ = nullptr;
 };

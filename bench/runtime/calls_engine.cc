@@ -56,8 +56,9 @@ class Split final : public Stage {
  public:
   Split(Stage& even, Stage& odd) : counts_{&even, &odd} {}
   void execute(std::uint64_t n, const std::string& sentence, const brokers::Payload& none) override {
-    split(sentence,
-          [&](const std::string& word) { counts_[std::hash<std::string>{}(word) % 2]->execute(n, word, none); });
+    split(sentence, [&](std::string_view word) {
+      counts_[std::hash<std::string_view>{}(word) % 2]->execute(n, std::string(word), none);
+    });
   }
 
  private:

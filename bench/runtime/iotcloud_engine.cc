@@ -105,9 +105,8 @@ class Split : public BasicBolt {
     declarer.declare(numbered_ ? Fields{"word", "n"} : Fields{"word"});
   }
   void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
-    split(tuple.get<std::string>(0), [&](std::string word) {
-      collector.emit(numbered_ ? Values(std::move(word), tuple.at(1)) : Values(std::move(word)));
-    });
+    split(tuple.get<std::string_view>(0),
+          [&](std::string_view word) { collector.emit(numbered_ ? Values(word, tuple.at(1)) : Values(word)); });
   }
 
  private:

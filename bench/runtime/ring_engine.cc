@@ -201,9 +201,9 @@ class WordsEngine final : public RingEngine {
     for (const auto& ring : in_) ring->flush();
   }
   void split_to(std::size_t s, const Text& sentence) {
-    split(sentence.text, [&](std::string word) {
-      Ring<Text>& ring = *words_[s][std::hash<std::string>{}(word) % 2];
-      ring.put({std::move(word), sentence.n});
+    split(sentence.text, [&](std::string_view word) {
+      Ring<Text>& ring = *words_[s][std::hash<std::string_view>{}(word) % 2];
+      ring.put({std::string(word), sentence.n});
     });
   }
   std::size_t count(std::size_t c) {

@@ -112,9 +112,9 @@ class WordsEngine final : public GraphEngine<Item> {
         split_(graph_, 2,
                [this](const Item& sentence, Split::output_ports_type& ports) {
                  left_of(sentence.n) = results_of_item(Dag::words);
-                 split(sentence.text, [&](std::string word) {
-                   const bool second = std::hash<std::string>{}(word) % 2 == 1;
-                   const Item item{sentence.n, std::move(word), {}};
+                 split(sentence.text, [&](std::string_view word) {
+                   const bool second = std::hash<std::string_view>{}(word) % 2 == 1;
+                   const Item item{sentence.n, std::string(word), {}};
                    second ? std::get<1>(ports).try_put(item) : std::get<0>(ports).try_put(item);
                  });
                }),

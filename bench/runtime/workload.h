@@ -116,12 +116,12 @@ class Sentences {
   std::vector<std::string> all_;
 };
 
-/// Calls `each(std::string)` for each word.
+/// Calls `each(std::string_view)` for each word.
 template <typename Each>
 void split(std::string_view sentence, Each&& each) {
   while (!sentence.empty()) {
     const std::size_t end = sentence.find(' ');
-    each(std::string(sentence.substr(0, end)));
+    each(sentence.substr(0, end));
     if (end == std::string_view::npos) return;
     sentence.remove_prefix(end + 1);
   }

@@ -15,6 +15,7 @@ IN_BROKER, TO_WORKER = "broker to spout: in the broker", "broker to spout: on th
 BACK_WORKER, BACK_BROKER, BACK_HOST = "back: worker to broker", "back: in the broker", "back: broker to robot"
 COMMAND = b'"linear"'  # text that every command contains
 SMALL = 1000  # bytes; a frame's first packet is larger than this
+MADE_UP_NS = 1_000_000_000  # EventLoop::start_timer() of gateway/host
 
 
 class Frame:
@@ -44,18 +45,23 @@ def read_trace(path):
 
 
 def note_lateness(frames, period_ns):
-    """Sets how late each frame was begun. The grid of intended times goes through the frame that was least late.
-    Returns how many frames the grid has between the first and the last one."""
+    """Sets how late each frame was begun. The grid of intended times goes through the frame that was least late, so none is
+    early. Returns how many frames the grid has between the first and the last one.
+
+    The robot's timer makes up for frames that it begins late, one after the other, each of which is as late as it is. It
+    leaves out those for which it is more than MADE_UP_NS late when it is done with the one before."""
     if not frames:
         return 0
     first = min(frame.begun - index * period_ns for index, frame in enumerate(frames))
-    tick = -1
-    for frame in frames:
-        tick += 1
-        # A driver that is late by whole periods leaves frames out.
-        tick = max(tick, (frame.begun - first) // period_ns)
+    ticks = [0]
+    for before in frames[:-1]:
+        tick = ticks[-1] + 1
+        behind = before.encoded - first - tick * period_ns
+        ticks.append(tick + behind // period_ns if behind > max(MADE_UP_NS, period_ns) else tick)
+    first = min(frame.begun - tick * period_ns for frame, tick in zip(frames, ticks, strict=True))
+    for frame, tick in zip(frames, ticks, strict=True):
         frame.late = frame.begun - first - tick * period_ns
-    return tick + 1
+    return ticks[-1] + 1
 
 
 def read_stamps(folder, component):

@@ -8,6 +8,7 @@
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/letter_box.h"
 #include "iotcloud/brokers/meters.h"
+#include "iotcloud/brokers/server_trust.h"
 #include <iotcloud/config/error.h>
 
 namespace iotcloud::brokers::activemq {
@@ -36,13 +37,14 @@ class ActiveMqBroker final : public Broker {
       : options_(options),
         meters_(options.metrics, "activemq"),
         log_(printable_url(options.urls.front())),
+        trust_(options.tls.ca_file, options.tls.revoked_file),
         loop_(clock_of(options)),
         urgent_loop_(clock_of(options)),
-        publishing_(loop_, options_, urls, "publishing", meters_, log_),
-        urgent_publishing_(urgent_loop_, options_, urls, "publishing-urgent", meters_, log_),
-        consuming_(std::make_shared<ReceiverLink>(loop_, options_, urls, "consuming", meters_, log_)),
+        publishing_(loop_, options_, urls, "publishing", meters_, log_, trust_),
+        urgent_publishing_(urgent_loop_, options_, urls, "publishing-urgent", meters_, log_, trust_),
+        consuming_(std::make_shared<ReceiverLink>(loop_, options_, urls, "consuming", meters_, log_, trust_)),
         urgent_consuming_(
-            std::make_shared<ReceiverLink>(urgent_loop_, options_, urls, "consuming-urgent", meters_, log_)) {
+            std::make_shared<ReceiverLink>(urgent_loop_, options_, urls, "consuming-urgent", meters_, log_, trust_)) {
     publishing_.start();
     loop_.start({&publishing_, consuming_.get()});
   }
@@ -91,6 +93,7 @@ class ActiveMqBroker final : public Broker {
   const BrokerOptions options_;
   Meters meters_;
   ConnectionLog log_;
+  ServerTrust trust_;
   IoLoop loop_;
   IoLoop urgent_loop_;
   SenderLink publishing_;

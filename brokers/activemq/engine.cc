@@ -26,7 +26,6 @@
 #include <unistd.h>
 
 #include "iotcloud/brokers/credentials.h"
-#include "iotcloud/brokers/revocation.h"
 #include <iotcloud/config/error.h>
 
 namespace iotcloud::brokers::activemq {
@@ -107,7 +106,7 @@ void Engine::AddressesFreer::operator()(addrinfo* list) const {
 }
 
 Engine::Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose,
-               const config::Clock& clock)
+               const config::Clock& clock, ServerTrust& trust)
     : clock_(clock) {
   const Credentials credentials = credentials_for(options, url);
   addrinfo hints{};
@@ -135,7 +134,7 @@ Engine::Engine(const BrokerOptions& options, const BrokerUrl& url, const std::st
     pn_connection_set_user(connection(), credentials.user.c_str());
     pn_connection_set_password(connection(), credentials.password.c_str());
   }
-  if (is_tls(url)) protect(options, url);
+  if (is_tls(url)) protect(options, url, trust);
   pn_connection_driver_bind(&driver_);
   connect_next();
 }
@@ -144,7 +143,7 @@ Engine::~Engine() {
   if (socket_ >= 0) ::close(socket_);
 }
 
-void Engine::protect(const BrokerOptions& options, const BrokerUrl& url) {
+void Engine::protect(const BrokerOptions& options, const BrokerUrl& url, ServerTrust& trust) {
   const TlsDomain made = make_tls_domain();
   const auto& domain = made.domain;
   if (!domain) throw config::Error("this qpid-proton has no TLS");
@@ -158,13 +157,12 @@ void Engine::protect(const BrokerOptions& options, const BrokerUrl& url) {
       pn_ssl_domain_set_peer_authentication(domain.get(), PN_SSL_VERIFY_PEER_NAME, nullptr) != 0) {
     throw config::Error("cannot read the certificates of the authorities in " + authorities);
   }
-  if (!tls.revoked_file.empty()) {
-    if (made.context == nullptr) {
-      throw config::Error(
-          "this qpid-proton does not use OpenSSL, so tls.revoked cannot be obeyed: take the key out, and replace "
-          "tls.ca when a server's certificate is revoked");
-    }
-    refuse_revoked(made.context, tls.revoked_file);
+  if (made.context != nullptr) {
+    shown_ = trust.guard(made.context);
+  } else if (!tls.revoked_file.empty()) {
+    throw config::Error(
+        "this qpid-proton does not use OpenSSL, so tls.revoked cannot be obeyed: take the key out, and replace "
+        "tls.ca when a server's certificate is revoked");
   }
   pn_ssl_t* const ssl = pn_ssl(transport());
   if (pn_ssl_init(ssl, domain.get(), nullptr) != 0) throw config::Error("cannot begin TLS");

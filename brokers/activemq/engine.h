@@ -11,6 +11,7 @@
 
 #include "iotcloud/brokers/activemq/wire/wire_message.h"
 #include "iotcloud/brokers/broker_url.h"
+#include "iotcloud/brokers/server_trust.h"
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/clock.h>
 
@@ -29,7 +30,8 @@ class Engine {
   /// Begins to connect. May wait until the host's name is resolved.
   /// \param purpose for the server's list of connections
   /// \throws config::Error for an unknown host name, and for an unreadable certificate or password
-  Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose, const config::Clock& clock);
+  Engine(const BrokerOptions& options, const BrokerUrl& url, const std::string& purpose, const config::Clock& clock,
+         ServerTrust& trust);
   ~Engine();
   Engine(const Engine&) = delete;
   Engine& operator=(const Engine&) = delete;
@@ -37,6 +39,8 @@ class Engine {
   pn_connection_t* connection() const { return driver_.connection; }
   pn_transport_t* transport() const { return driver_.transport; }
   int socket() const { return socket_; }
+  /// What the server shows at the handshake; null: the connection has no TLS, or proton's is not OpenSSL's.
+  const std::shared_ptr<ShownChain>& shown() const { return shown_; }
   /// Whether poll() must wait for room to write, too.
   bool wants_to_write() const { return connecting_ || unwritten_; }
 
@@ -55,13 +59,14 @@ class Engine {
     void operator()(pn_connection_driver_t* driver) const { pn_connection_driver_destroy(driver); }
   };
 
-  void protect(const BrokerOptions& options, const BrokerUrl& url);
+  void protect(const BrokerOptions& options, const BrokerUrl& url, ServerTrust& trust);
   void connect_next();
   void finish_connecting();
   void fail(int error);
   bool read();  ///< \return whether bytes came
 
   const config::Clock& clock_;
+  std::shared_ptr<ShownChain> shown_;  ///< outlives driver_
   pn_connection_driver_t driver_{};
   std::unique_ptr<pn_connection_driver_t, DriverDestroyer> destroyer_;
   std::unique_ptr<addrinfo, AddressesFreer> addresses_;

@@ -49,9 +49,9 @@ void SessionReader::settle(std::uint64_t tag, Settlement settlement) noexcept {
 }
 
 ReceiverLink::ReceiverLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
-                           std::string purpose, Meters& meters, ConnectionLog& log)
+                           std::string purpose, Meters& meters, ConnectionLog& log, ServerTrust& trust)
     : ReceiverCore(*this, meters, clock_of(options)),
-      ServerLink(core_.mutex, loop, options, urls, std::move(purpose), log),
+      ServerLink(core_.mutex, loop, options, urls, std::move(purpose), log, trust),
       meters_(meters) {}
 
 void ReceiverLink::end() {

@@ -38,7 +38,7 @@ class ReceiverLink final : client::ReadTransport,
                            public std::enable_shared_from_this<ReceiverLink> {
  public:
   ReceiverLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls, std::string purpose,
-               Meters& meters, ConnectionLog& log);
+               Meters& meters, ConnectionLog& log, ServerTrust& trust);
   /// Waits for the running handler and closes the connection. Not to be called from a handler.
   void end();
 

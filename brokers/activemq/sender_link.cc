@@ -38,9 +38,9 @@ RoutedOutbox::RoutedOutbox(const Topic& to, const PublisherOptions& how)
     : Outbox(to, how), own_queue(activemq::own_queue(to.name)) {}
 
 SenderLink::SenderLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
-                       std::string purpose, Meters& meters, ConnectionLog& log)
+                       std::string purpose, Meters& meters, ConnectionLog& log, ServerTrust& trust)
     : SenderCore(*this, meters, clock_of(options)),
-      ServerLink(core_.mutex, loop, options, urls, std::move(purpose), log),
+      ServerLink(core_.mutex, loop, options, urls, std::move(purpose), log, trust),
       meters_(meters) {}
 
 ConnectionState SenderLink::state() const {

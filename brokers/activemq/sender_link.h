@@ -43,7 +43,7 @@ struct SenderCore {
 class SenderLink final : client::PublishTransport, SenderCore, public ServerLink {
  public:
   SenderLink(IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls, std::string purpose,
-             Meters& meters, ConnectionLog& log);
+             Meters& meters, ConnectionLog& log, ServerTrust& trust);
 
   /// The core, to which publishers are added.
   PublishCore& core() { return core_; }

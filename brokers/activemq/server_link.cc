@@ -38,7 +38,7 @@ const config::Clock& clock_of(const BrokerOptions& options) {
 }
 
 ServerLink::ServerLink(config::Mutex& mutex, IoLoop& loop, const BrokerOptions& options,
-                       const std::vector<BrokerUrl>& urls, std::string purpose, ConnectionLog& log)
+                       const std::vector<BrokerUrl>& urls, std::string purpose, ConnectionLog& log, ServerTrust& trust)
     : loop_(loop),
       options_(options),
       mutex_(mutex),
@@ -46,6 +46,7 @@ ServerLink::ServerLink(config::Mutex& mutex, IoLoop& loop, const BrokerOptions& 
       purpose_(std::move(purpose)),
       clock_(clock_of(options)),
       log_(log),
+      trust_(trust),
       servers_(urls.size()),
       probe_(urls.front().host, port_of(urls.front()), greeting_for(urls.front()), clock_) {}
 
@@ -154,7 +155,21 @@ void ServerLink::look_after() {
     abandon("no answer to a question about its queues");
     return;
   }
-  look_after_preferred();
+  if (look_after_trust()) look_after_preferred();
+}
+
+bool ServerLink::look_after_trust() {
+  const std::shared_ptr<ShownChain> shown = engine_->shown();
+  if (!shown) return true;
+  std::string why;
+  {
+    const config::Unlocked unlocked(mutex_);  // it may read files
+    why = trust_.distrust(*shown, now());
+  }
+  if (!engine_) return false;
+  if (why.empty()) return true;
+  lost(why);  // not abandon(): this server gets nothing more, no goodbye either
+  return false;
 }
 
 /// A busy server answers late, and to connect again would only give it more to do: all messages under way would come
@@ -188,7 +203,7 @@ void ServerLink::attempt(std::size_t server) {
   {
     const config::Unlocked unlocked(mutex_);
     try {
-      engine = std::make_unique<Engine>(options_, urls_[server], purpose_, clock_);
+      engine = std::make_unique<Engine>(options_, urls_[server], purpose_, clock_, trust_);
     } catch (const std::exception& error) {
       problem = error.what();
     }

@@ -15,6 +15,7 @@
 #include "iotcloud/brokers/client/connection_log.h"
 #include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/client/server_probe.h"
+#include "iotcloud/brokers/server_trust.h"
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/mutex.h>
@@ -36,7 +37,7 @@ class ServerLink : public IoLoop::Service {
   /// \param mutex guards this object. \param purpose for the server's list of connections. All referenced objects
   /// outlive this one.
   ServerLink(config::Mutex& mutex, IoLoop& loop, const BrokerOptions& options, const std::vector<BrokerUrl>& urls,
-             std::string purpose, ConnectionLog& log);
+             std::string purpose, ConnectionLog& log, ServerTrust& trust);
   ServerLink(const ServerLink&) = delete;
   ServerLink& operator=(const ServerLink&) = delete;
 
@@ -120,6 +121,8 @@ class ServerLink : public IoLoop::Service {
   };
 
   void look_after() IOTCLOUD_REQUIRES(mutex_);
+  /// Ends the connection if its server is not trusted any more. \return whether it goes on
+  bool look_after_trust() IOTCLOUD_REQUIRES(mutex_);
   void look_after_preferred() IOTCLOUD_REQUIRES(mutex_);
   void attempt(std::size_t server) IOTCLOUD_REQUIRES(mutex_);
   void dispatch() IOTCLOUD_REQUIRES(mutex_);
@@ -140,6 +143,7 @@ class ServerLink : public IoLoop::Service {
   const std::string purpose_;
   const config::Clock& clock_;
   ConnectionLog& log_;
+  ServerTrust& trust_;
 
   std::unique_ptr<Engine> engine_ IOTCLOUD_GUARDED_BY(mutex_);
   /// A lost connection's engine, kept until nothing refers to it.

@@ -1,11 +1,32 @@
 #include "iotcloud/brokers/kafka/renewal.h"
 
+#include <algorithm>
 #include <exception>
+#include <fstream>
+#include <iterator>
+#include <string_view>
 #include <utility>
 
 #include <iotcloud/brokers/kafka/logger.h>
 
 namespace iotcloud::brokers::kafka {
+namespace {
+
+/// The certificates in a file of PEM, each as the text between its first and last line.
+std::set<std::string> certificates_in(const std::string& path) {
+  constexpr std::string_view first = "-----BEGIN CERTIFICATE-----", last = "-----END CERTIFICATE-----";
+  std::ifstream file(path);
+  const std::string text{std::istreambuf_iterator<char>(file), {}};
+  std::set<std::string> found;
+  std::size_t end = 0;
+  for (auto begin = text.find(first); begin != std::string::npos; begin = text.find(first, end)) {
+    end = std::min(text.find(last, begin), text.size());
+    found.insert(text.substr(begin, end - begin));
+  }
+  return found;
+}
+
+}  // namespace
 
 Renewal::Renewal(const KafkaOptions& options, Make make) : options_(options), make_(std::move(make)) {}
 
@@ -16,7 +37,8 @@ std::shared_ptr<KafkaClient> Renewal::client() {
     return std::exchange(next_, nullptr);
   }
   next_.reset();
-  used_ = seen_ = mark();  // before the library reads them: a change meanwhile is noticed
+  seen_ = mark();
+  used_ = files(seen_);  // before the library reads them: a change meanwhile is noticed
   return make_();
 }
 
@@ -32,7 +54,8 @@ bool Renewal::ready(Instant now) {
 }
 
 bool Renewal::next_may_take_over() const {
-  return next_->connected() || of_next_.back() != used_.back();
+  const bool trusts_fewer = !std::ranges::includes(of_next_.authorities, used_.authorities);
+  return next_->connected() || of_next_.mark.back() != used_.mark.back() || trusts_fewer;
 }
 
 Renewal::Mark Renewal::mark() const {
@@ -41,13 +64,17 @@ Renewal::Mark Renewal::mark() const {
           config::stamp_of(files.revoked_file)};
 }
 
+Renewal::Files Renewal::files(const Mark& mark) const {
+  return {mark, certificates_in(options_.broker.tls.ca_file)};
+}
+
 void Renewal::look() {
   const Mark now = mark();
   const bool settled = std::exchange(seen_, now) == now;
   if (!settled) complaints_.clear();
-  if (now == used_) {
+  if (now == used_.mark) {
     next_.reset();
-  } else if (settled && (!next_ || of_next_ != now)) {
+  } else if (settled && (!next_ || of_next_.mark != now)) {
     make_next(now);
   }
 }
@@ -55,8 +82,9 @@ void Renewal::look() {
 void Renewal::make_next(const Mark& mark) {
   next_.reset();
   try {
+    Files read = files(mark);
     next_ = make_();
-    of_next_ = mark;
+    of_next_ = std::move(read);
   } catch (const std::exception& error) {  // ClientError, config::Error: the next look tries again
     complain(error.what());
   }

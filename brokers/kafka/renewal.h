@@ -16,8 +16,8 @@ namespace iotcloud::brokers::kafka {
 /// Follows the files of certificates, key, authorities and revocations that a client was made with. The library reads
 /// them only when it makes a client, so once they have changed another client must take over: this class makes it, and
 /// offers it when a server has let it in. Until then, and if the new files are of no use, the present client goes on;
-/// but with another list of revocations it is offered at once, because the present one may have a server that is on it.
-/// Not thread safe.
+/// but with another list of revocations, or without an authority that it had, it is offered at once, because the
+/// present one may have a server that is not trusted any more. Not thread safe.
 class Renewal {
  public:
   using Instant = config::Clock::Instant;
@@ -40,7 +40,12 @@ class Renewal {
   static constexpr std::chrono::milliseconds look_period{1000};
 
   using Mark = std::array<config::FileStamp, 4>;  ///< the list of revocations is the last
+  struct Files {
+    Mark mark{};
+    std::set<std::string> authorities{};  ///< their certificates, as the file has them
+  };
   Mark mark() const;
+  Files files(const Mark& mark) const;
   void look();
   void make_next(const Mark& mark);
   void serve_events();
@@ -49,9 +54,9 @@ class Renewal {
 
   const KafkaOptions& options_;
   const Make make_;
-  Mark used_{};  ///< of the present client
+  Files used_;   ///< of the present client
   Mark seen_{};  ///< at the last look
-  Mark of_next_{};
+  Files of_next_;
   Instant look_at_{};
   std::shared_ptr<KafkaClient> next_;
   std::set<std::string> complaints_;  ///< those that the log has, since the files changed

@@ -31,7 +31,10 @@ int read_number(const std::string& name, const std::string& text, int fewest, in
 }  // namespace
 
 Cluster::Cluster(const BrokerOptions& options, std::vector<BrokerUrl> urls)
-    : options_(options), of_readers_(reader_options(options)), urls_(std::move(urls)) {
+    : options_(options),
+      of_readers_(reader_options(options)),
+      urls_(std::move(urls)),
+      trust_(std::make_unique<ServerTrust>(options.tls.ca_file, options.tls.revoked_file)) {
   for (const std::string& url : options.urls) names_.push_back(printable_url(url));
   for (const auto& [name, value] : options.properties) {
     if (name == "queue_type") {
@@ -71,6 +74,7 @@ std::unique_ptr<AmqpLink> Cluster::connect(std::size_t server, const char* purpo
     throw LinkError(error.what());
   }
   link.tls = options_.tls;
+  link.trust = trust_.get();
   link.heartbeat = options_.heartbeat;
   link.rpc_timeout = options_.rpc_timeout;
   link.purpose = purpose;

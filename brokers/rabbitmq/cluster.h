@@ -8,6 +8,7 @@
 
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
+#include "iotcloud/brokers/server_trust.h"
 #include <iotcloud/brokers/broker.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -15,7 +16,7 @@ namespace iotcloud::brokers::rabbitmq {
 /// The user with which a connection logs in: the broker's user, or for reading the broker's `reader`, if it has one.
 enum class Login { writer, reader };
 
-/// The servers of one broker, how to connect to them, and how their queues are declared. Thread safe: immutable.
+/// The servers of one broker, how to connect to them, and how their queues are declared. Thread safe.
 class Cluster {
  public:
   /// \throws config::Error for a property that RabbitMQ does not have, and for a bad value.
@@ -27,6 +28,9 @@ class Cluster {
   const BrokerUrl& url(std::size_t server) const { return urls_.at(server); }
   /// Connects and logs in, with the password as it is now. \param purpose shown by RabbitMQ's tools. \throws LinkError
   std::unique_ptr<AmqpLink> connect(std::size_t server, const char* purpose, Login login) const;
+
+  /// Whom the connections trust.
+  ServerTrust& trust() const { return *trust_; }
 
   std::chrono::milliseconds rpc_timeout() const { return options_.rpc_timeout; }
   QueueType queue_type() const { return queue_type_; }
@@ -42,6 +46,7 @@ class Cluster {
   const BrokerOptions of_readers_;  ///< with the user for reading; without one as options_
   const std::vector<BrokerUrl> urls_;
   std::vector<std::string> names_;
+  const std::unique_ptr<ServerTrust> trust_;  ///< thread safe by itself
   QueueType queue_type_ = QueueType::classic;
   int channels_ = 2047;
   std::chrono::milliseconds confirm_timeout_{10'000};

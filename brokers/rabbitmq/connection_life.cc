@@ -49,6 +49,20 @@ void ConnectionLife::broke() noexcept {
   wake();
 }
 
+void ConnectionLife::check_server() {
+  const config::MutexLock lock(mutex_);
+  const std::shared_ptr<ShownChain> shown = shown_;
+  if (!shown) return;
+  std::string why;
+  {
+    const config::Unlocked unlocked(mutex_);
+    why = cluster_.trust().distrust(*shown, clock_.now());
+  }
+  if (why.empty() || shown != shown_ || broken_) return;
+  broken_ = std::make_exception_ptr(LinkError(why));
+  wake();
+}
+
 bool ConnectionLife::started() const {
   mutex_.assert_held();
   return started_;
@@ -128,7 +142,7 @@ void ConnectionLife::connect() {
   if (problem) return servers_.failed(*server, clock_.now());
   servers_.connected(*server, clock_.now());
   open_ = true;
-  owner_.opened();
+  shown_ = owner_.opened();
 }
 
 void ConnectionLife::part(bool in_order) {
@@ -136,6 +150,7 @@ void ConnectionLife::part(bool in_order) {
   owner_.forget();
   open_ = false;
   broken_ = nullptr;
+  shown_ = nullptr;
   moving_since_.reset();
   const config::Unlocked unlocked(mutex_);
   owner_.close(in_order);

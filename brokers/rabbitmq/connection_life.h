@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstddef>
 #include <exception>
+#include <memory>
 #include <optional>
 #include <string>
 #include <thread>
@@ -11,6 +12,7 @@
 #include "iotcloud/brokers/client/server_list.h"
 #include "iotcloud/brokers/rabbitmq/cluster.h"
 #include "iotcloud/brokers/rabbitmq/wire/link_sleep.h"
+#include "iotcloud/brokers/server_trust.h"
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/mutex.h>
 
@@ -49,7 +51,8 @@ class ConnectionLife {
     /// Connects to a server of the cluster and logs in; may take long. Called without the mutex. The connection is used
     /// from opened() on. \throws LinkError, or any other exception if it cannot
     virtual void open(std::size_t server) = 0;
-    virtual void opened() = 0;
+    /// \return what the server showed; null: the connection has no TLS
+    virtual std::shared_ptr<ShownChain> opened() = 0;
     /// Does what is due on the open connection; may release the mutex meanwhile. Any exception ends the connection.
     virtual void serve(Readiness ready) = 0;
     /// Calls back users (handlers, outcomes), also without a connection; may release the mutex meanwhile.
@@ -91,6 +94,9 @@ class ConnectionLife {
   /// The current exception, on any thread, shows that the connection is broken: the thread ends it.
   void broke() noexcept;
 
+  /// Ends the connection if its server is not trusted any more. To be called often, without the mutex; reads files.
+  void check_server();
+
   bool started() const;
   bool ending() const;
   /// Whether another thread found the connection broken, and it is still there.
@@ -128,6 +134,7 @@ class ConnectionLife {
   bool open_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   bool sleeping_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   Readiness ready_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::shared_ptr<ShownChain> shown_ IOTCLOUD_GUARDED_BY(mutex_);  ///< of the open connection
   /// Why another thread found the connection broken; null: none did.
   std::exception_ptr broken_ IOTCLOUD_GUARDED_BY(mutex_);
   /// Since when the connection is about to move; nullopt: it is not.

@@ -109,10 +109,14 @@ void Connections::keep() {
 }
 
 void Connections::look_after(const Links& links) {
-  for (PublishChannel* const channel : links.publishing) channel->watch();
+  for (PublishChannel* const channel : links.publishing) {
+    channel->watch();
+    channel->life().check_server();
+  }
   const auto attend = [this](const ReadConnections& reading, std::uint8_t priority) {
     for (const auto& link : reading) {
       link->read_during_handler();
+      link->life().check_server();
       if (!link->over_limit()) continue;
       // One new connection at a time: the server tells it only after connecting how many channels it allows.
       std::shared_ptr<ReadConnection> other;

@@ -192,12 +192,13 @@ void PublishChannel::open(std::size_t server) {
   spare_ = std::move(wire);
 }
 
-void PublishChannel::opened() {
+std::shared_ptr<ShownChain> PublishChannel::opened() {
   core_.mutex.assert_held();
   wire_ = std::move(spare_);
   blocked_ = writable_ = reading_return_ = false;
   declared_.clear();
   undeclared_ = core_.outboxes();
+  return wire_->shown();
 }
 
 void PublishChannel::serve(ConnectionLife::Readiness ready) {

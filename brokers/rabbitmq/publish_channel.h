@@ -69,7 +69,7 @@ class PublishChannel final : client::PublishTransport, ConnectionLife::Owner {
 
   // The ConnectionLife's Owner.
   void open(std::size_t server) override IOTCLOUD_EXCLUDES(core_.mutex);
-  void opened() override;
+  std::shared_ptr<ShownChain> opened() override;
   void serve(ConnectionLife::Readiness ready) override;
   void call_back() override;
   ConnectionLife::Rest rest() override;

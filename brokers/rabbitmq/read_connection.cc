@@ -194,11 +194,12 @@ void ReadConnection::open(std::size_t server) {
   spare_ = cluster_.connect(server, purpose_, Login::reader);
 }
 
-void ReadConnection::opened() {
+std::shared_ptr<ShownChain> ReadConnection::opened() {
   core_.mutex.assert_held();
   wire_ = std::move(spare_);
   channel_limit_ = static_cast<std::size_t>(wire_->channel_limit());
   for (const auto& reader : readers_) set_timer(*reader, clock_.now());
+  return wire_->shown();
 }
 
 void ReadConnection::serve(ConnectionLife::Readiness ready) {

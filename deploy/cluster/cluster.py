@@ -21,6 +21,10 @@ from pathlib import Path
 import revocation
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "development"))
+
+import package  # noqa: E402
+
 OUT = ROOT / "build" / "cluster"
 SECRETS = OUT / "secrets"
 JARS = ROOT / "build" / "storm"  # of topologies for Apache Storm
@@ -156,7 +160,7 @@ def environment(**more):
     processors = min(2, os.cpu_count() or 1)
     ours = {"COMPOSE_PROJECT_NAME": project(), "IOTCLOUD_UID": str(user_id()), "SECRETS": str(SECRETS),
             "BROKER_CPUS": str(processors), "DOCKER_BUILDKIT": "1", "COMPOSE_DOCKER_CLI_BUILD": "1",
-            "BUILDKIT_PROGRESS": "plain"}
+            "BUILDKIT_PROGRESS": "plain", "IOTCLOUD_VERSION": package.version_here()}
     return {**ours, **os.environ, **more}
 
 

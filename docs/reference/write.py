@@ -113,6 +113,8 @@ def furnished(text, folder, binaries):
             shutil.copy(folder / f"lab-{name}.pub", file)
             if name == "order-keys" and (folder / "master.pub").exists():
                 shutil.copy(folder / "master.pub", file)  # a master trusts its own key
+        elif name == "pages":
+            file.mkdir()
         elif name == "master.key":
             file.unlink(missing_ok=True)
             run(binaries / "iotcloud", "keys", "new", folder / "master")

@@ -58,6 +58,32 @@ void MockHost::log(LogLevel level, std::string_view text) noexcept {
   logged_.push_back({level, std::string(text)});
 }
 
+void MockHost::report_found(std::string_view key, const PropertyMap& attributes) noexcept {
+  const config::MutexLock lock(mutex_);
+  found_.insert_or_assign(std::string(key), attributes);
+}
+
+void MockHost::report_gone(std::string_view key) noexcept {
+  const config::MutexLock lock(mutex_);
+  found_.erase(std::string(key));
+}
+
+void MockHost::report_sight(bool sees) noexcept {
+  const config::MutexLock lock(mutex_);
+  if (sees && !sees_) found_.clear();
+  sees_ = sees;
+}
+
+std::map<std::string, PropertyMap> MockHost::found() const {
+  const config::MutexLock lock(mutex_);
+  return found_;
+}
+
+bool MockHost::sees() const {
+  const config::MutexLock lock(mutex_);
+  return sees_;
+}
+
 void MockHost::fail(std::string_view reason) noexcept {
   const config::MutexLock lock(mutex_);
   if (!failed_) failure_ = reason;

@@ -46,6 +46,9 @@ class MockHost final : public HostInterface {
   void log(LogLevel level, std::string_view text) noexcept override;
   void fail(std::string_view reason) noexcept override;
   void update_metadata(const PropertyMap& changes) noexcept override;
+  void report_found(std::string_view key, const PropertyMap& attributes) noexcept override;
+  void report_gone(std::string_view key) noexcept override;
+  void report_sight(bool sees) noexcept override;
 
   // Called by the test.
   /// Advances time: runs posted callbacks and every timer that falls due, in order of time.
@@ -75,6 +78,9 @@ class MockHost final : public HostInterface {
   /// How many log lines contain this text.
   std::size_t logged_count(std::string_view text) const;
   PropertyMap metadata() const;  ///< all that the driver has set so far
+  /// All that the driver, a finder, has found and that is not gone: attributes by key.
+  std::map<std::string, PropertyMap> found() const;
+  bool sees() const;  ///< what the finder said last with report_sight()
   bool failed() const;
   std::string failure() const;  ///< the first reason given to fail(); empty when there was none
 
@@ -105,6 +111,8 @@ class MockHost final : public HostInterface {
   std::map<std::string, PublishStatus, std::less<>> answers_ IOTCLOUD_GUARDED_BY(mutex_);
   std::optional<std::vector<ChannelSpec>> channels_ IOTCLOUD_GUARDED_BY(mutex_);  ///< nullopt: nothing was declared
   PropertyMap metadata_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::map<std::string, PropertyMap> found_ IOTCLOUD_GUARDED_BY(mutex_);
+  bool sees_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::string failure_ IOTCLOUD_GUARDED_BY(mutex_);
   bool failed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
 };

@@ -14,6 +14,7 @@ using std::chrono::steady_clock;
 
 namespace {
 
+constexpr std::size_t most_answers_bytes = 256;
 constexpr double position_step = 0.25;        // metres; smaller moves do not change the record
 constexpr std::chrono::seconds burst_gap{5};  // a malformed command is logged if the one before was longer ago
 
@@ -24,6 +25,14 @@ std::int64_t wall_ms() {
 
 double microseconds(steady_clock::duration duration) {
   return std::chrono::duration<double, std::micro>(duration).count();
+}
+
+/// As the property "truth" has it.
+std::string text_of(const GroundTruth& truth) {
+  std::array<char, 128> text{};
+  std::snprintf(text.data(), text.size(), "%.3f,%.3f,%.4f,%.3f,%.3f,%.3f", truth.robot_x, truth.robot_y,
+                truth.robot_heading, truth.person_x, truth.person_y, truth.distance);
+  return text.data();
 }
 
 }  // namespace
@@ -86,7 +95,7 @@ void TurtleDriver::send(const DepthFrame& frame) {
   const Payload payload = frame.disparities ? Payload::copy(encoder_.encode(*frame.disparities)) : frame.encoded;
   const auto encoded = steady_clock::now();
   if (frame.repeated && sequence_ > 0) {
-    log_.repeat_newest(frame.captured, publish(sequence_ - 1, last_time_ms_, payload));
+    log_.repeat_newest(frame.captured, publish(sequence_ - 1, last_time_ms_, frame, payload));
     return;
   }
   last_time_ms_ = std::max(last_time_ms_ + 1, wall_ms());
@@ -101,7 +110,7 @@ void TurtleDriver::send(const DepthFrame& frame) {
   }
   record.encode_us = microseconds(encoded - started);
   record.payload_bytes = payload.size();
-  record.published = publish(record.sequence, record.time_ms, payload);
+  record.published = publish(record.sequence, record.time_ms, frame, payload);
   log_.add(record);
   log_.tidy(steady_clock::now());
 }
@@ -115,11 +124,21 @@ void TurtleDriver::tell_position(const GroundTruth& truth) {
   context_->update_metadata({{"position", text.data()}});
 }
 
-PublishStatus TurtleDriver::publish(std::uint64_t sequence, std::int64_t time_ms, Payload payload) {
+/// What a page for people shows beside the frames: it sees messages only.
+void TurtleDriver::note_answer(const FrameRecord& record) {
+  if (answers_.size() > most_answers_bytes) return;  // no frame was sent for long
+  if (!answers_.empty()) answers_ += ' ';
+  answers_ += std::to_string(record.sequence) + ':' + std::to_string(record.latency.count());
+}
+
+PublishStatus TurtleDriver::publish(std::uint64_t sequence, std::int64_t time_ms, const DepthFrame& frame,
+                                    Payload payload) {
   Message message;
   message.payload = std::move(payload);
   message.time_ms = time_ms;
   message.properties.set("seq", std::to_string(sequence));
+  if (frame.truth) message.properties.set("truth", text_of(*frame.truth));
+  if (!answers_.empty()) message.properties.set("answers", std::exchange(answers_, {}));
   return context_->publish(frames_channel, std::move(message));
 }
 
@@ -135,7 +154,10 @@ void TurtleDriver::on_message(std::string_view channel, Message message) {
   device_.actuator->drive(*command);
   guard_robot();
   const bool newest = log_.newest_is(message.time_ms);
-  if (log_.answer(message.time_ms, *command, arrived) && newest) device_.source->answered();
+  const FrameRecord* const answered = log_.answer(message.time_ms, *command, arrived);
+  if (answered == nullptr) return;
+  note_answer(*answered);
+  if (newest) device_.source->answered();
 }
 
 void TurtleDriver::guard_robot() {

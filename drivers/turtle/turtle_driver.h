@@ -3,6 +3,7 @@
 #include <chrono>
 #include <cstdint>
 #include <optional>
+#include <string>
 #include <string_view>
 #include <utility>
 #include <vector>
@@ -42,7 +43,8 @@ class TurtleDriver : public Driver {
  private:
   using Instant = std::chrono::steady_clock::time_point;
   void send(const DepthFrame& frame);
-  PublishStatus publish(std::uint64_t sequence, std::int64_t time_ms, Payload payload);
+  PublishStatus publish(std::uint64_t sequence, std::int64_t time_ms, const DepthFrame& frame, Payload payload);
+  void note_answer(const FrameRecord& record);
   void tell_position(const GroundTruth& truth);
   void guard_robot();
   void note_malformed(Instant now);
@@ -57,6 +59,7 @@ class TurtleDriver : public Driver {
   std::uint64_t sequence_ = 0;  ///< number of the next frame
   std::int64_t last_time_ms_ = 0;
   std::optional<std::pair<double, double>> told_;  ///< the robot's place according to the record, metres
+  std::string answers_;  ///< of frames since the last one was sent, as the property "answers" has them
   bool opened_once_ = false, active_ = false;
   std::optional<HandlerId> watchdog_;
   std::uint64_t watchdog_stops_ = 0;

@@ -11,9 +11,11 @@ The figures come from the traces that the turtle driver writes (drivers/turtle/R
 import argparse
 import fcntl
 import json
+import os
 import signal
 import sys
 import time
+import webbrowser
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -55,6 +57,8 @@ def arguments():
     parser.add_argument("--broker", choices=["embedded", "rabbitmq", "kafka", "activemq"], metavar="NAME",
                         help="embedded, or a private rabbitmq, kafka or activemq (default: embedded; of a cluster"
                              " rabbitmq)")
+    parser.add_argument("--view", action="store_true",
+                        help="shows all of it, while it runs, on a page for browsers, whose address is printed")
     parser.add_argument("--json", metavar="FILE", help="write the report there too")
     parser.add_argument("--lockstep", action="store_true",
                         help="the world moves on with each answer, not with time: for slow machines")
@@ -66,6 +70,8 @@ def arguments():
     if not 1 <= options.robots <= MOST_ROBOTS:
         parser.error(f"--robots: between 1 and {MOST_ROBOTS}")
     options.cluster = options.cluster or options.engine is not None
+    if options.view and options.engine:
+        parser.error("--view: the page does not show Apache Storm's topologies; Storm has a UI of its own")
     if options.broker is None:
         options.broker = "rabbitmq" if options.cluster else "embedded"
     if options.cluster and options.broker != "rabbitmq":
@@ -161,6 +167,13 @@ def take_folder(out):
     return lock
 
 
+def show(address):
+    """Prints where the page is, and opens it in a browser when there is a display."""
+    print(f"it is shown at {address}", flush=True)
+    if os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        webbrowser.open(address)
+
+
 def main():
     options = arguments()
     out = options.out.resolve()
@@ -172,7 +185,12 @@ def main():
     mode = modes.Storm if options.engine else modes.Cluster if options.cluster else modes.OneProcess
     try:
         with mode(options.build, out, options.broker) as running:
+            running.view = options.view
             running.begin(robots)
+            if options.view:
+                show(running.page)
+            else:
+                print("to see it while it runs: ./dev demo --view")
             answers = await_answers(robots, lambda: running.dead() is None)
             clock = WorldClock(robots) if options.lockstep and answers else WallClock()
             follow_progress(robots, options.seconds, clock, lambda: running.dead() is None)

@@ -12,6 +12,7 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/examples/turtlebot_follower/view.h>
 #include <iotcloud/topology/local/local_cluster.h>
 
 namespace {
@@ -74,13 +75,16 @@ int main(int argc, char** argv) {
   signal(SIGPIPE, SIG_IGN);
 
   CLI::App app{"The TurtleBot follower with gateway, master and topology in one process.", "turtlebot-demo"};
-  std::string broker_url, plugins, topology, times;
+  std::string broker_url, plugins, topology, times, view;
+  std::vector<std::string> pages;
   std::vector<std::vector<std::string>> robots;
   app.add_option("--plugins", plugins, "folder of turtle.so and turtlebot_follower.so")->required();
   app.add_option("--topology", topology, "the topology's YAML")->required();
   app.add_option("--broker-url", broker_url,
                  "amqp://, kafka:// or activemq://... of a server (default: the embedded broker)");
   app.add_option("--times", times, "file that gets p50 and p99 of each bolt in ms, at the end");
+  app.add_option("--view", view, "HOST:PORT of loopback, where a page shows all of it; its address is printed");
+  app.add_option("--pages", pages, "folder of robots' pages for --view")->allow_extra_args(false);
   app.add_option("--robot", robots,
                  "GATEWAY [key=value ...]: a turtle there, with these properties; once for each robot (default: one)");
   CLI11_PARSE(app, argc, argv);
@@ -103,8 +107,14 @@ int main(int argc, char** argv) {
       instances.push_back(cluster.deploy("turtle.so", properties, gateway));
     }
 
+    auto page = view.empty() ? nullptr : show(cluster, view, pages);
+    if (page) {
+      std::printf("%s\n", page->url().c_str());
+      std::fflush(stdout);
+    }
     int received = 0;
     sigwait(&stop_signals, &received);
+    page.reset();
     if (!times.empty()) write_times(times);
     for (const auto& instance : instances) cluster.undeploy(instance);
     return cluster.stop(std::chrono::seconds(5)) ? 0 : 1;

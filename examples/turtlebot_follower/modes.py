@@ -89,18 +89,26 @@ class Measurement:
 class OneProcess(Children):
     """Gateway, master and topology in one process; the broker embedded, or a private server."""
 
+    view = False  # whether it has a page, whose address is then in `page`
+
     def __init__(self, build, out, broker):
         super().__init__(out)
         self.build, self.broker = build.resolve(), broker
 
     def begin(self, robots):
         url = [] if self.broker == "embedded" else [f"--broker-url={self.server(self.broker)}"]
+        program = "turtlebot-demo-view" if self.view else "turtlebot-demo"
+        view = ["--view", "127.0.0.1:0", "--pages", HERE / "page"] if self.view else []
         self.times = self.out / "times.tsv"
         self.times.unlink(missing_ok=True)  # of an earlier run
-        self.spawn("turtlebot-demo", [
-            self.build / "bin/turtlebot-demo", *url, "--plugins", self.build / "plugins",
+        started = self.spawn("turtlebot-demo", [
+            self.build / "bin" / program, *url, *view, "--plugins", self.build / "plugins",
             "--topology", HERE / "follower.yaml", "--times", self.times,
-            *(word for robot in robots for word in ["--robot", robot.gateway, *robot.words()])])
+            *(word for robot in robots for word in ["--robot", robot.gateway, *robot.words()])], **({"stdout": subprocess.PIPE, "text": True} if self.view else {}))
+        if self.view:
+            self.page = started.stdout.readline().strip()
+            if not self.page:
+                raise StartError(f"turtlebot-demo has no page; see {self.log('turtlebot-demo')}")
         self.measurement = Measurement(self.out)
 
     def finish(self):
@@ -115,13 +123,17 @@ class OneProcess(Children):
 class Cluster(PrivateCluster):
     """RabbitMQ, ZooKeeper, one master, two gateways, a topology worker; drivers deployed by the CLI."""
 
+    view = False  # whether it has a page, whose address is then in `page`
+
     def __init__(self, build, out, broker):
         super().__init__(out, build / "bin", build / "plugins")
         self.broker = broker
 
     def begin(self, robots):
         print("starting RabbitMQ, ZooKeeper, a master and two gateways ...", flush=True)
-        self.start(gateways=2)
+        port = free_port()
+        self.page = f"http://127.0.0.1:{port}/"
+        self.start(gateways=2, of_masters=f'console: {{address: "127.0.0.1:{port}", pages: {{folder: "{HERE / "page"}"}}}}' if self.view else "")
         topology = (HERE / "follower.yaml").read_text()
         topology = re.sub(r"(?m)^zk\.servers:.*$", 'zk.servers: ["{zookeeper}"]', topology)
         topology = re.sub(r"(?m)^topology\.library:.*$",

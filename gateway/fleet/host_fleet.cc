@@ -159,6 +159,15 @@ HostEvents HostFleet::events_of(const std::shared_ptr<Host>& host) {
       if (const auto alive = weak.lock()) told(alive, number, look);
     });
   };
+  events.on_found = [this, weak](FoundReport report) {
+    loop_.post([this, weak, report = std::move(report)] {
+      const auto alive = weak.lock();
+      const auto member = members_.find(report.finder);
+      if (!alive || !on_found_ || member == members_.end() || member->second.host != alive || !alive->untrue.empty())
+        return;
+      on_found_(report);
+    });
+  };
   return events;
 }
 

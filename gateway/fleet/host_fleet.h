@@ -35,6 +35,7 @@ class HostFleet {
   };
   using OnStatus = std::function<void(const InstanceStatus&)>;
   using OnTold = std::function<void(discovery::ChannelLook)>;
+  using OnFound = std::function<void(const FoundReport&)>;
   HostFleet(EventLoop& loop, HostLauncher& launcher, Placement placement, Options options, OnStatus on_status);
   ~HostFleet();
 
@@ -49,6 +50,8 @@ class HostFleet {
   /// Begins to remove the instance. on_status reports `undeployed` when it has ended; then the id may be used again.
   /// \param removal see DriverHost::remove()
   void remove(const discovery::InstanceId& instance, Removal removal);
+  /// Called, on the loop, with what instances that are finders tell, each of itself only.
+  void on_found(OnFound told) { on_found_ = std::move(told); }
   /// Looks at a channel of an instance, or hands the instance a message. \param done called once, on the loop
   void ask(const ChannelQuestion& question, OnTold done);
   /// Tells all hosts, and those that are started later, when the registry last confirmed the gateway's place.
@@ -114,6 +117,7 @@ class HostFleet {
   Placement placement_;
   const Options options_;
   const OnStatus on_status_;
+  OnFound on_found_;
   std::map<discovery::InstanceId, Member> members_;
   std::map<std::string, std::shared_ptr<Host>> hosts_;  ///< the hosts that take instances, by key_of()
   std::set<std::shared_ptr<Host>> retired_;             ///< the hosts that are shutting down

@@ -109,6 +109,12 @@ class InProcessLink final : public HostLink {
       if (passed) return std::nullopt;
       return NotPassed::gateway_away;
     };
+    options.on_found = [events = events_](FoundReport report) {
+      events->with([&](const HostEvents& of) {
+        if (of.on_found) of.on_found(std::move(report));
+        return true;
+      });
+    };
     options.passing.answer = [events = events_](std::int64_t number, PassAnswer answer) {
       events->with([&](const HostEvents& of) {
         if (of.on_answer) of.on_answer(number, answer);

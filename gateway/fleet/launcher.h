@@ -36,6 +36,8 @@ struct HostEvents {
   std::function<void(std::int64_t number, PassAnswer)> on_answer{};
   /// The answer to HostLink::ask(). May be empty.
   std::function<void(std::int64_t number, discovery::ChannelLook)> on_told{};
+  /// What an instance that is a finder tells. May be empty.
+  std::function<void(FoundReport)> on_found{};
 };
 
 /// A gateway's handle on one driver host. Commands return at once, are carried out in the order given, and may be given

@@ -12,6 +12,7 @@
 #include <sys/stat.h>
 #include <unistd.h>
 
+#include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/log_settings.h>
 #include <iotcloud/gateway/fleet/plugin_folder.h>
@@ -138,6 +139,25 @@ std::optional<std::string> deployments_network(const std::string& text) {
   return text.substr(of_deployment.size(), text.find('\n') - of_deployment.size());
 }
 
+/// Of a state folder: the brokers' files for confined hosts (BrokerFiles).
+std::string broker_files_in(const std::string& state_folder) {
+  return state_folder + "/broker-files";
+}
+
+/// Whether a host's instances name copies of brokers' files that are gone: the configuration names other files now, or
+/// hosts are not confined to files any more.
+bool lacks_copies(const std::vector<HostedInstance>& instances, const std::string& state_folder) {
+  const std::string copies = broker_files_in(state_folder) + "/";
+  for (const auto& instance : instances) {
+    for (const auto& broker : instance.spec.brokers) {
+      for (const auto& [key, file] : brokers::files_of(broker.options)) {
+        if (file.starts_with(copies) && !std::filesystem::exists(file)) return true;
+      }
+    }
+  }
+  return false;
+}
+
 /// The host behind a socket that an earlier run left, if this gateway can adopt it. Kills a host that it cannot adopt.
 /// \param network_text of an order, what a host that is started now would have beside its socket
 std::optional<RunningHost> examine(const std::string& folder, const FoundSocket& found, const HostProofs& proofs,
@@ -172,8 +192,13 @@ std::optional<RunningHost> examine(const std::string& folder, const FoundSocket&
     } else if (problem = starter.objection(process); problem.empty()) {
       HostOrder order = hello->order;
       order.network = deployments_network(network);
-      if (network_text(order) == network) return RunningHost{name, order, hello->instances};
-      problem = "it may connect to other places than host_network and the brokers' URLs say now";
+      if (network_text(order) != network) {
+        problem = "it may connect to other places than host_network and the brokers' URLs say now";
+      } else if (lacks_copies(hello->instances, folder)) {
+        problem = "its brokers' files are others now";
+      } else {
+        return RunningHost{name, order, hello->instances};
+      }
     }
   } catch (const config::Error& e) {
     problem = e.what();
@@ -214,6 +239,18 @@ ProcessLauncher::ProcessLauncher(Options options)
   if (options_.confinement.files) {
     if (processes::landlock_version() == 0) {
       logger.warn("this kernel has no Landlock, so driver hosts may reach all files of their user (host_files)");
+    }
+    broker_files_ =
+        std::make_shared<BrokerFiles>(broker_files_in(options_.state_dir), options_.broker_files, starter_.account());
+    options_.confinement.files->read.push_back(broker_files_->folder());
+  } else {
+    const std::string of_earlier_run = broker_files_in(options_.state_dir);
+    std::error_code error;
+    std::filesystem::remove_all(of_earlier_run, error);
+    if (error) {
+      logger.warn(
+          "{}, which has copies of brokers' passwords and keys that nobody needs any more, cannot be removed: {}",
+          of_earlier_run, error.message());
     }
   }
 }
@@ -288,7 +325,7 @@ std::unique_ptr<HostLink> ProcessLauncher::launch(const HostOrder& wanted, HostE
   logger.info("started the driver host of {} as process {}; it logs to {}", order.plugin, process->id(), log_file);
   try {
     return std::make_unique<ProcessLink>(options_, order, socket, proofs_.of(socket), *std::move(process), events,
-                                         starter_.log_keeper(log_of(order.plugin)));
+                                         starter_.log_keeper(log_of(order.plugin)), broker_files_);
   } catch (const std::system_error& e) {
     return lacking(e);
   }
@@ -367,7 +404,12 @@ std::vector<RunningHost> ProcessLauncher::running(const discovery::GatewayId& ga
 std::unique_ptr<HostLink> ProcessLauncher::adopt(const RunningHost& host, HostEvents events) {
   const int process = processes::peer_process(processes::connect_in(options_.state_dir, host.name));
   return std::make_unique<ProcessLink>(options_, host.order, host.name, proofs_.of(host.name), starter_.found(process),
-                                       std::move(events), starter_.log_keeper(log_of(host.order.plugin)));
+                                       std::move(events), starter_.log_keeper(log_of(host.order.plugin)),
+                                       broker_files_);
+}
+
+void ProcessLauncher::renew_broker_files() {
+  if (broker_files_) broker_files_->renew();
 }
 
 }  // namespace iotcloud::gateway

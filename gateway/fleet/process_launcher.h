@@ -9,9 +9,11 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/gateway/fleet/broker_files.h>
 #include <iotcloud/gateway/fleet/host_brokers.h>
 #include <iotcloud/gateway/fleet/host_metrics.h>
 #include <iotcloud/gateway/fleet/host_proofs.h>
+#include <iotcloud/gateway/fleet/host_troubles.h>
 #include <iotcloud/gateway/fleet/launcher.h>
 #include <iotcloud/gateway/fleet/plugin_source.h>
 #include <iotcloud/processes/child_process.h>
@@ -52,6 +54,7 @@ class ProcessLauncher final : public HostLauncher {
     /// something else. A deployment may leave some out, and add none.
     processes::PlacesByCode network;
     std::vector<processes::Place> brokers_places;  ///< the brokers' servers, which every list of places has
+    std::vector<std::string> broker_files;         ///< of which hosts with Confinement::files read copies
     Ports ports;  ///< empty: hosts connect to whatever they like; otherwise each has some, see Confinement::ports
     /// The socket at which systemd starts hosts under the account `confinement.user` (processes::ChildStarter).
     std::string starter;
@@ -59,6 +62,7 @@ class ProcessLauncher final : public HostLauncher {
     int log_limit_mb = 10;                 ///< the size at which a host's log is rotated
     int logs_kept = 3;                     ///< number of older logs that are kept
     std::shared_ptr<HostBrokers> brokers;  ///< gets the hosts' brokers with each answer to a ping; null: nobody does
+    std::shared_ptr<HostTroubles> troubles{};  ///< gets with it which instances hang or lose messages; null: nobody
     /// Gets the hosts' metrics every `metrics_period`; null: they are not collected.
     std::shared_ptr<HostMetrics> metrics;
     std::chrono::milliseconds metrics_period{2000};
@@ -77,6 +81,8 @@ class ProcessLauncher final : public HostLauncher {
   }
   std::vector<RunningHost> running(const discovery::GatewayId& gateway) override;
   std::unique_ptr<HostLink> adopt(const RunningHost& host, HostEvents events) override;
+  /// Gives confined hosts what has replaced a broker's file (BrokerFiles::renew()).
+  void renew_broker_files();
 
  private:
   std::optional<std::vector<processes::Place>> network_of(const HostOrder& order) const;
@@ -89,6 +95,7 @@ class ProcessLauncher final : public HostLauncher {
   processes::PluginVersions versions_;
   const HostProofs proofs_;
   const processes::ChildStarter starter_;
+  std::shared_ptr<BrokerFiles> broker_files_;  ///< null: hosts are not confined to files, and read the files themselves
 };
 
 }  // namespace iotcloud::gateway

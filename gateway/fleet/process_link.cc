@@ -28,12 +28,13 @@ std::string name_in_metrics(const HostOrder& order) {
 
 ProcessLink::ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
                          const std::string& proof, processes::ChildProcess process, HostEvents events,
-                         std::function<void()> keep_log)
+                         std::function<void()> keep_log, std::shared_ptr<const BrokerFiles> files)
     : options_(options),
       order_(order),
       socket_name_(std::move(socket_name)),
       events_(std::move(events)),
       keep_log_(std::move(keep_log)),
+      files_(std::move(files)),
       next_metrics_(Steady::now()),
       name_(name_in_metrics(order)),
       watch_({options_.state_dir, socket_name_, options_.ping_period, options_.hang_limit, milliseconds{0},
@@ -49,7 +50,7 @@ void ProcessLink::send(const protocol::HostCommand& command) {
 }
 
 void ProcessLink::create(const InstanceSpec& spec) {
-  send(protocol::CreateInstance{spec});
+  send(protocol::CreateInstance{files_ ? files_->with_copies(spec) : spec});
 }
 
 void ProcessLink::activate(const discovery::InstanceId& instance) {
@@ -131,6 +132,8 @@ void ProcessLink::heard(const protocol::PluginRefused& refused) {
 
 void ProcessLink::heard(const protocol::Pong& pong) {
   if (options_.brokers) options_.brokers->put(socket_name_, pong.brokers, Steady::now());
+  if (options_.troubles)
+    options_.troubles->put(socket_name_, pong.stalls, pong.losing, config::system_clock().wall_ms());
   judge(pong.stalls);
 }
 
@@ -148,6 +151,10 @@ void ProcessLink::heard(const protocol::AnswerMessage& answer) {
 
 void ProcessLink::heard(const protocol::ChannelAnswer& answer) {
   if (events_.on_told) events_.on_told(answer.number, answer.look);
+}
+
+void ProcessLink::heard(const protocol::FoundMessage& found) {
+  if (events_.on_found) events_.on_found(found.report);
 }
 
 void ProcessLink::name_after(const discovery::InstanceId& instance) {
@@ -195,6 +202,7 @@ void ProcessLink::ended(const processes::WatchedEnd& end) {
   unlink(socket.c_str());
   unlink((socket + std::string(network_suffix)).c_str());
   if (options_.brokers) options_.brokers->forget(socket_name_);
+  if (options_.troubles) options_.troubles->forget(socket_name_);
   if (options_.metrics) options_.metrics->forget(name_, watch_.process());
   if (!refused_.empty()) {
     events_.on_ended({HostEnd::How::refused, refused_, {}});

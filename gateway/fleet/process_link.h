@@ -2,6 +2,7 @@
 
 #include <chrono>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <string>
 #include <string_view>
@@ -22,10 +23,11 @@ class ProcessLink final : public HostLink {
  public:
   /// \param socket_name the socket's name in the state folder; the host may not listen yet. \param proof see
   /// HostProofs::of(); shown to `process` only. \param process the host.
-  /// \param keep_log called about once per ping period on the link's thread; may be empty.
+  /// \param keep_log called about once per ping period on the link's thread; may be empty. \param files of which the
+  /// host reads copies; null: it reads the brokers' files themselves
   ProcessLink(const ProcessLauncher::Options& options, const HostOrder& order, std::string socket_name,
               const std::string& proof, processes::ChildProcess process, HostEvents events,
-              std::function<void()> keep_log);
+              std::function<void()> keep_log, std::shared_ptr<const BrokerFiles> files);
 
   PluginIdentity plugin() const override { return order_.identity; }
   void create(const InstanceSpec& spec) override;
@@ -50,6 +52,7 @@ class ProcessLink final : public HostLink {
   void heard(const protocol::PassMessage& message);
   void heard(const protocol::AnswerMessage& answer);
   void heard(const protocol::ChannelAnswer& answer);
+  void heard(const protocol::FoundMessage& found);
   void judge(const std::vector<Stall>& stalls);
   void name_after(const discovery::InstanceId& instance);
   void ping();
@@ -62,6 +65,7 @@ class ProcessLink final : public HostLink {
   const std::string socket_name_;
   const HostEvents events_;
   const std::function<void()> keep_log_;
+  const std::shared_ptr<const BrokerFiles> files_;
 
   config::Mutex mutex_;
   std::optional<bool> answers_ IOTCLOUD_GUARDED_BY(mutex_);  ///< HostHello::answers; nullopt: no hello came yet

@@ -30,6 +30,7 @@ std::optional<ChannelQueue::Waiting> ChannelQueue::push(Waiting waiting) {
     }
   }
   superseded_.add(dropped.size());
+  if (!dropped.empty()) tally_.lost("dropped: superseded", static_cast<std::int64_t>(dropped.size()));
   for (auto& old : dropped) old.delivery.settle(brokers::Settlement::accept);
   return std::nullopt;
 }
@@ -50,11 +51,16 @@ void ChannelQueue::drain() {
     Waiting next = std::move(waiting_.front());
     waiting_.pop_front();
     lock.unlock();
-    const Handled handled = deliver_(std::move(next.delivery.message));
+    const Handled handled = deliver_(std::move(next.delivery.message), next.since);
     if (handled == Handled::not_taken) {  // close() follows, and returns it with those behind it
       lock.lock();
       waiting_.push_front(std::move(next));
       return;
+    }
+    if (handled == Handled::done) {
+      tally_.done();
+    } else {
+      tally_.lost("failed: the driver threw");
     }
     next.delivery.settle(handled == Handled::done ? brokers::Settlement::accept : brokers::Settlement::reject);
   }

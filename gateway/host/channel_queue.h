@@ -12,6 +12,7 @@
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/gateway/host/channel_tally.h>
 #include <iotcloud/gateway/host/event_loop.h>
 
 namespace iotcloud::gateway {
@@ -36,8 +37,9 @@ class ChannelQueue : public std::enable_shared_from_this<ChannelQueue> {
     std::uint64_t place = 0;         ///< its place in the order in which the messages came; read likewise
     bool passed = false;             ///< another host has passed it to this one
   };
-  /// Runs on the loop, one message at a time. Moves from the message unless it returns `not_taken`.
-  using Deliver = std::function<Handled(brokers::Message&&)>;
+  /// Runs on the loop, one message at a time. Moves from the message unless it returns `not_taken`. `since` is
+  /// Waiting::since.
+  using Deliver = std::function<Handled(brokers::Message&&, config::Clock::Instant since)>;
   ChannelQueue(std::shared_ptr<EventLoop> loop, std::size_t keep_last, config::Counter& superseded, Deliver deliver);
 
   /// Queues a delivery. It is accepted when the driver has handled it, and rejected if the driver failed on it.
@@ -49,6 +51,8 @@ class ChannelQueue : public std::enable_shared_from_this<ChannelQueue> {
     std::chrono::milliseconds oldest{0};
   };
   Backlog backlog(config::Clock::Instant now) const;
+  /// What became of the messages.
+  const ChannelTally& tally() const { return tally_; }
   /// Ends the delivery. To be called on the loop's thread. \return the messages that the driver did not see, in order,
   /// without those that were passed, which go back
   std::deque<Waiting> close();
@@ -60,6 +64,7 @@ class ChannelQueue : public std::enable_shared_from_this<ChannelQueue> {
   const std::size_t keep_last_;
   config::Counter& superseded_;
   const Deliver deliver_;
+  ChannelTally tally_;
   mutable config::Mutex mutex_;
   std::deque<Waiting> waiting_ IOTCLOUD_GUARDED_BY(mutex_);
   bool scheduled_ IOTCLOUD_GUARDED_BY(mutex_) = false;

@@ -70,6 +70,7 @@ struct ControlServer::Impl {
       host_options.passing.answer = [this](std::int64_t number, PassAnswer answer) {
         tell(protocol::AnswerMessage{number, answer});
       };
+      host_options.on_found = [this](FoundReport report) { tell(protocol::FoundMessage{std::move(report)}); };
       const auto& order = options.order;
       auto plugin = options.exactly ? Plugin::load_exactly(options.plugin_path, order.identity.sha256, order.plugin)
                                     : Plugin::load(options.plugin_path);
@@ -210,7 +211,8 @@ void ControlServer::Impl::greet() {
   if (host) hello.instances = host->list();
   outbox.add(encode(hello));
   if (!refusal.empty()) outbox.add(encode(protocol::PluginRefused{refusal}));
-  if (!outbox.send(gateway)) lose_gateway("it went at once");
+  if (!outbox.send(gateway)) return lose_gateway("it went at once");
+  if (host) host->tell_found();
 }
 
 void ControlServer::Impl::send_waiting() {
@@ -270,6 +272,7 @@ void ControlServer::Impl::obey(const protocol::Ping& command) {
   if (host) {
     pong.stalls = host->stalls();
     pong.brokers = host->brokers();
+    pong.losing = host->losing();
   }
   tell(pong);
 }

@@ -14,6 +14,7 @@
 #include <iotcloud/gateway/host/event_loop.h>
 #include <iotcloud/gateway/host/lease.h>
 #include <iotcloud/gateway/host/logger.h>
+#include <iotcloud/gateway/host/losses.h>
 
 namespace iotcloud::gateway {
 
@@ -37,12 +38,15 @@ bool wants_own_thread(const Plugin& plugin, const InstanceSpec& spec) {
 
 struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   Impl(const Options& options, std::shared_ptr<const Plugin> plugin, Listener host_listener)
-      : listener(std::move(host_listener)), environment(std::make_shared<HostEnvironment>()) {
+      : listener(std::move(host_listener)),
+        environment(std::make_shared<HostEnvironment>()),
+        losses(options.clock != nullptr ? *options.clock : config::system_clock()) {
     environment->gateway = options.gateway;
     environment->isolated = options.isolated;
     environment->drain_limit = options.drain_limit;
     environment->state_folder = options.state_folder;
     environment->plugin = std::move(plugin);
+    environment->report_found = options.on_found ? options.on_found : [](const FoundReport&) {};
     environment->clock = options.clock != nullptr ? options.clock : &config::system_clock();
     environment->metrics = options.metrics != nullptr ? options.metrics : &config::process_metrics();
     environment->brokers = std::make_unique<brokers::BrokerPool>(nullptr, environment->metrics);
@@ -71,15 +75,17 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
     }
   }
 
+  std::vector<std::shared_ptr<DriverInstance>> all() const {
+    std::vector<std::shared_ptr<DriverInstance>> all;
+    const config::MutexLock lock(mutex);
+    for (const auto& [id, instance] : instances) all.push_back(instance);
+    return all;
+  }
+
   /// Appends for each channel what waits in it, of all instances together.
   void show_backlogs(std::vector<config::Sample>& samples) const {
     std::map<std::pair<std::string, std::string>, ChannelQueue::Backlog> backlogs;  // by driver and channel
-    std::vector<std::shared_ptr<DriverInstance>> open;
-    {
-      const config::MutexLock lock(mutex);
-      for (const auto& [id, instance] : instances) open.push_back(instance);
-    }
-    for (const auto& instance : open) {
+    for (const auto& instance : all()) {
       instance->each_backlog([&](const discovery::ChannelRecord& channel, const ChannelQueue::Backlog& backlog) {
         auto& sum = backlogs[{channel.driver, channel.name}];
         sum.waiting += backlog.waiting;
@@ -153,7 +159,9 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
   bool stopped IOTCLOUD_GUARDED_BY(mutex) = false;
   std::string left IOTCLOUD_GUARDED_BY(mutex);                      ///< why stop() returned false
   std::vector<BrokerLink> seen_brokers IOTCLOUD_GUARDED_BY(mutex);  ///< see brokers()
-  config::Metrics::SourceRegistration own_samples;                  ///< ends first, because it uses the other members
+  config::Mutex losses_mutex;
+  Losses losses IOTCLOUD_GUARDED_BY(losses_mutex);
+  config::Metrics::SourceRegistration own_samples;  ///< ends first, because it uses the other members
 };
 
 /// Leaks the instances and what they share, because a stuck thread may use them until the process ends.
@@ -304,6 +312,11 @@ std::optional<std::chrono::milliseconds> DriverHost::enforce_leases() {
 
 // These commands hold the mutex, so that start_suspended() does not replace the instance meanwhile.
 
+void DriverHost::tell_found() {
+  const config::MutexLock lock(impl_->mutex);
+  for (const auto& [id, instance] : impl_->instances) instance->tell_found();
+}
+
 void DriverHost::activate(const discovery::InstanceId& instance) {
   const config::MutexLock lock(impl_->mutex);
   if (const auto found = impl_->find(instance)) found->activate();
@@ -403,6 +416,19 @@ std::vector<BrokerLink> DriverHost::brokers() {
   }
   impl_->seen_brokers = links;
   return links;
+}
+
+std::vector<LosingChannel> DriverHost::losing() {
+  const auto open = impl_->all();
+  const config::MutexLock lock(impl_->losses_mutex);
+  impl_->losses.begin();
+  for (const auto& instance : open) {
+    instance->each_tally([&](const discovery::ChannelRecord& channel, const ChannelTally& tally) {
+      impl_->losses_mutex.assert_held();
+      impl_->losses.see(channel.instance, channel.name, tally.losses());
+    });
+  }
+  return impl_->losses.end();
 }
 
 std::vector<HostedInstance> DriverHost::list() const {

@@ -11,7 +11,9 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/host/broker_states.h>
 #include <iotcloud/gateway/host/channel_looks.h>
+#include <iotcloud/gateway/host/found_things.h>
 #include <iotcloud/gateway/host/instance_spec.h>
+#include <iotcloud/gateway/host/losing_channel.h>
 #include <iotcloud/gateway/host/passed_message.h>
 #include <iotcloud/gateway/host/plugin.h>
 
@@ -29,7 +31,10 @@ class DriverHost {
     /// Where channels with WhenFull::spool keep their messages: `<state_folder>/spool/<instance>/<channel>`. Empty:
     /// such a channel is refused.
     std::string state_folder;
-    Passing passing{};                     ///< to and from the gateway's other hosts of the driver
+    Passing passing{};  ///< to and from the gateway's other hosts of the driver
+    /// Called with what finders tell, on the instances' event threads; the reports of one finder are in order. Must not
+    /// call back into the host. May be empty.
+    std::function<void(FoundReport)> on_found{};
     const config::Clock* clock = nullptr;  ///< nullptr: the system's
     config::Metrics* metrics = nullptr;    ///< nullptr: the process's
   };
@@ -72,9 +77,14 @@ class DriverHost {
   /// perhaps before this function returns
   void ask(ChannelQuestion question, const std::function<void(discovery::ChannelLook)>& done);
 
+  /// Has all finders tell all that they find once more: there is a gateway that knows nothing of it.
+  void tell_found();
+
   /// The brokers that instances use. Looks at them; call it regularly, because that is how exact BrokerLink::since_ms
   /// is.
   std::vector<BrokerLink> brokers();
+  /// The channels that lose messages. Call it regularly, because it finds what has been lost since the last call.
+  std::vector<LosingChannel> losing();
   std::vector<HostedInstance> list() const;
   const Plugin& plugin() const;
   /// The event threads that are stuck in a driver's callback. Each call also probes them, so call it regularly.

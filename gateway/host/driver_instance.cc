@@ -51,6 +51,7 @@ struct DriverInstance::Incoming {
   config::Counter& received;
   config::Counter& failed;  ///< messages that the driver failed on
   std::shared_ptr<ChannelLooks> looks;
+  std::uint64_t delivered = 0;                          ///< the key of the message that was delivered last
   std::unique_ptr<brokers::Subscription> subscription;  ///< null: the channel uses a subscription that instances share
 };
 
@@ -261,15 +262,15 @@ void DriverInstance::open_incoming(const PlannedChannel& channel) {
       Incoming{channel, environment_->brokers->get(channel.address, channel.broker), nullptr,
                metrics.counter("iotcloud_driver_received_total", "Messages handed to drivers", labels),
                metrics.counter("iotcloud_driver_lost_total", lost_help, failed),
-               std::make_shared<ChannelLooks>(*environment_->clock), nullptr});
+               std::make_shared<ChannelLooks>(*environment_->clock), 0, nullptr});
   // The queue is closed before `incoming` goes, so the pointer is valid whenever it delivers.
   incoming->queue = std::make_shared<ChannelQueue>(
       loop_, channel.spec.keep_last,
       metrics.counter("iotcloud_driver_received_superseded_total",
                       "Messages dropped by keep_last before a driver saw them", labels),
-      [weak = weak_from_this(), from = incoming.get()](brokers::Message&& message) {
+      [weak = weak_from_this(), from = incoming.get()](brokers::Message&& message, config::Clock::Instant since) {
         const auto self = weak.lock();
-        return self ? self->deliver(*from, std::move(message)) : ChannelQueue::Handled::not_taken;
+        return self ? self->deliver(*from, std::move(message), since) : ChannelQueue::Handled::not_taken;
       });
   // Stored before it subscribes, so that close_now() finds it even if subscribing throws.
   auto& kept = *incoming_.emplace_back(std::move(incoming));
@@ -407,14 +408,18 @@ void DriverInstance::end_outgoing(DriverState final_state, const std::string& re
   if (failed) report(final_state, reason);
 }
 
-ChannelQueue::Handled DriverInstance::deliver(const Incoming& incoming, drivers::Message&& message) {
+ChannelQueue::Handled DriverInstance::deliver(Incoming& incoming, drivers::Message&& message,
+                                              config::Clock::Instant since) {
   if (!running()) return ChannelQueue::Handled::not_taken;
   incoming.received.add();
-  if (incoming.looks->watched()) incoming.looks->saw(message);
+  const auto key = ++incoming.delivered;
+  const bool watched = incoming.looks->watched();
+  if (watched) incoming.looks->saw(message, {key, environment_->clock->now(), since});
   const std::string& channel = incoming.plan.spec.name;
-  if (call("on_message", [&](std::string& error) { shell_->on_message(channel, std::move(message), error); })) {
-    return ChannelQueue::Handled::done;
-  }
+  const bool handled =
+      call("on_message", [&](std::string& error) { shell_->on_message(channel, std::move(message), error); });
+  if (watched) incoming.looks->ended(key, handled ? "handled" : "failed");
+  if (handled) return ChannelQueue::Handled::done;
   incoming.failed.add();
   return ChannelQueue::Handled::failed;
 }
@@ -441,6 +446,11 @@ void DriverInstance::add_state(discovery::ChannelLook& answer) const {
 void DriverInstance::each_backlog(
     const std::function<void(const discovery::ChannelRecord&, const ChannelQueue::Backlog&)>& use) const {
   channels_.each_backlog(use);
+}
+
+void DriverInstance::each_tally(
+    const std::function<void(const discovery::ChannelRecord&, const ChannelTally&)>& use) const {
+  channels_.each_tally(use);
 }
 
 void DriverInstance::hand(const std::string& channel, brokers::Message message,
@@ -566,6 +576,50 @@ void DriverInstance::update_metadata(const drivers::PropertyMap& changes) noexce
   loop_->post([weak = weak_from_this()] {
     if (const auto self = weak.lock()) self->report_metadata();
   });
+}
+
+void DriverInstance::report_found(std::string_view key, const drivers::PropertyMap& attributes) noexcept {
+  std::string problem;
+  change_found([&](FoundThings& things) { problem = things.found({std::string(key), attributes}); });
+  if (!problem.empty()) host_logger.warn("{}: what it found is passed over: {}", id_, problem);
+}
+
+void DriverInstance::report_gone(std::string_view key) noexcept {
+  change_found([&](FoundThings& things) { things.gone(key); });
+}
+
+void DriverInstance::report_sight(bool sees) noexcept {
+  change_found([&](FoundThings& things) { things.sight(sees); });
+}
+
+/// Changes what this instance has found; a little later all changes until then are reported together.
+void DriverInstance::change_found(const std::function<void(FoundThings&)>& change) {
+  {
+    const config::MutexLock lock(mutex_);
+    change(found_);
+    if (!found_.changed() || std::exchange(found_waits_, true)) return;
+  }
+  loop_->start_timer(found_pause, std::chrono::microseconds{0}, [weak = weak_from_this()] {
+    if (const auto self = weak.lock()) self->report_things(false);
+  });
+}
+
+void DriverInstance::tell_found() {
+  loop_->post([weak = weak_from_this()] {
+    if (const auto self = weak.lock()) self->report_things(true);
+  });
+}
+
+/// Runs on the event thread, so that reports are in order.
+void DriverInstance::report_things(bool whole) {
+  std::vector<FoundReport> reports;
+  {
+    const config::MutexLock lock(mutex_);
+    if (!whole) found_waits_ = false;
+    if (closed_) return;
+    if (whole || found_.changed()) reports = found_.take(id_, whole);
+  }
+  for (auto& report : reports) environment_->report_found(std::move(report));
 }
 
 /// Runs on the event thread, as all reports before the end do, so that an older state is never reported after a newer

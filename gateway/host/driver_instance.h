@@ -44,6 +44,10 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   /// Calls `use` for each channel that is open. Thread safe.
   void each_backlog(
       const std::function<void(const discovery::ChannelRecord&, const ChannelQueue::Backlog&)>& use) const;
+  void each_tally(const std::function<void(const discovery::ChannelRecord&, const ChannelTally&)>& use) const;
+
+  /// Tells all that it has found once more, if it is a finder.
+  void tell_found();
 
   InstanceSpec spec() const;
   InstanceStatus status() const;
@@ -67,7 +71,12 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   void log(drivers::LogLevel level, std::string_view text) noexcept override;
   void fail(std::string_view reason) noexcept override;
   void update_metadata(const drivers::PropertyMap& changes) noexcept override;
+  void report_found(std::string_view key, const drivers::PropertyMap& attributes) noexcept override;
+  void report_gone(std::string_view key) noexcept override;
+  void report_sight(bool sees) noexcept override;
 
+  /// Shortest time between two reports of what was found.
+  static constexpr std::chrono::milliseconds found_pause{50};
   /// Shortest time between two reports of the driver's metadata.
   static constexpr std::chrono::milliseconds metadata_pause{200};
   /// Limit on the metadata: bytes of all keys and values together.
@@ -93,7 +102,7 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   void end_outgoing(discovery::DriverState final_state, const std::string& reason,
                     std::vector<std::pair<std::shared_ptr<brokers::Broker>, brokers::Topic>> unneeded,
                     std::function<void()> closed);
-  ChannelQueue::Handled deliver(const Incoming& incoming, drivers::Message&& message);
+  ChannelQueue::Handled deliver(Incoming& incoming, drivers::Message&& message, config::Clock::Instant since);
   /// Calls the driver; an error makes the instance `failed`. \return whether the call succeeded.
   bool call(const char* what, const std::function<void(std::string&)>& driver_call);
   void add_state(discovery::ChannelLook& answer) const;
@@ -101,6 +110,8 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
             const std::function<void(discovery::ChannelLook)>& done);
   void report(discovery::DriverState state, const std::string& reason);
   void report_metadata();
+  void change_found(const std::function<void(FoundThings&)>& change);
+  void report_things(bool whole);
   void set_active(bool active);
   bool running() const { return open_ && !failing_; }
 
@@ -119,6 +130,8 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   InstanceSpec spec_ IOTCLOUD_GUARDED_BY(mutex_);
   InstanceStatus status_ IOTCLOUD_GUARDED_BY(mutex_);
   std::set<HandlerId> handlers_ IOTCLOUD_GUARDED_BY(mutex_);
+  FoundThings found_ IOTCLOUD_GUARDED_BY(mutex_);
+  bool found_waits_ IOTCLOUD_GUARDED_BY(mutex_) = false;     ///< report_things() is started and has not run yet
   bool metadata_waits_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< report_metadata() is posted and has not run yet
 
   OpenChannels channels_;

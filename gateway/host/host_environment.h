@@ -10,6 +10,7 @@
 #include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/host/event_loop.h>
+#include <iotcloud/gateway/host/found_things.h>
 #include <iotcloud/gateway/host/instance_spec.h>
 #include <iotcloud/gateway/host/plugin.h>
 #include <iotcloud/gateway/host/shared_channels.h>
@@ -31,6 +32,7 @@ struct HostEnvironment {
   /// The thread on which publishers are drained and late messages are given up, so that event threads do not wait.
   std::shared_ptr<EventLoop> closing;
   std::function<void(const InstanceStatus&)> report;
+  std::function<void(FoundReport)> report_found;  ///< what an instance that is a finder tells; never empty
 
   /// The thread that opens and closes spooled channels: both may wait for the disk, which no event thread does. It is
   /// not `closing`, so that a failure is not reported after others' drains. It starts with the first spool.

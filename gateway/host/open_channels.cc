@@ -77,6 +77,21 @@ ChannelQueue::Backlog OpenChannels::backlog_of(const std::string& name, const Op
   return outgoing == outgoing_.end() ? ChannelQueue::Backlog{} : outgoing->second->backlog();
 }
 
+/// \return null: the channel is being closed
+const ChannelTally* OpenChannels::tally_of(const std::string& name, const OpenChannel& channel) const {
+  if (channel.queue) return &channel.queue->tally();
+  const auto outgoing = outgoing_.find(name);
+  return outgoing == outgoing_.end() ? nullptr : &outgoing->second->tally();
+}
+
+void OpenChannels::each_tally(
+    const std::function<void(const discovery::ChannelRecord&, const ChannelTally&)>& use) const {
+  const config::ReadLock lock(mutex_);
+  for (const auto& [name, channel] : channels_) {
+    if (const auto* const tally = tally_of(name, channel)) use(channel.record, *tally);
+  }
+}
+
 void OpenChannels::each_backlog(
     const std::function<void(const discovery::ChannelRecord&, const ChannelQueue::Backlog&)>& use) const {
   const config::ReadLock lock(mutex_);
@@ -97,6 +112,11 @@ std::vector<discovery::ChannelState> OpenChannels::states() const {
     const auto backlog = backlog_of(name, channel);
     state.waiting = static_cast<std::int64_t>(backlog.waiting);
     state.oldest_ms = backlog.oldest.count();
+    if (const auto* const tally = tally_of(name, channel)) {
+      auto counts = tally->counts();
+      state.done = counts.done;
+      state.lost = std::move(counts.lost);
+    }
     states.push_back(std::move(state));
   }
   return states;

@@ -42,6 +42,7 @@ class OpenChannels {
   /// Calls `use` for each channel.
   void each_backlog(
       const std::function<void(const discovery::ChannelRecord&, const ChannelQueue::Backlog&)>& use) const;
+  void each_tally(const std::function<void(const discovery::ChannelRecord&, const ChannelTally&)>& use) const;
   /// Answers a question about all channels, and about the one that it names if it names one. \param answer has the
   /// instance's state already
   void look(const discovery::LookRequest& request, discovery::ChannelLook& answer) const;
@@ -59,6 +60,8 @@ class OpenChannels {
   };
   std::vector<discovery::ChannelState> states() const IOTCLOUD_REQUIRES_SHARED(mutex_);
   ChannelQueue::Backlog backlog_of(const std::string& name, const OpenChannel& channel) const
+      IOTCLOUD_REQUIRES_SHARED(mutex_);
+  const ChannelTally* tally_of(const std::string& name, const OpenChannel& channel) const
       IOTCLOUD_REQUIRES_SHARED(mutex_);
   std::string unknown(const std::string& name) const IOTCLOUD_REQUIRES_SHARED(mutex_);
 

@@ -55,23 +55,26 @@ class OutgoingChannel::OutcomeCounters {
         confirmed_(counter("confirmed", "")),
         would_block_(counter("would_block", "")) {}
 
-  void count(brokers::Outcome outcome, const std::string& reason) {
-    switch (outcome) {
-      case brokers::Outcome::confirmed:
-        confirmed_.add();
-        break;
-      case brokers::Outcome::refused:
-        counter("refused", reason).add();
-        break;
-      case brokers::Outcome::dropped:
-        counter("dropped", reason).add();
-        break;
-      case brokers::Outcome::unknown:
-        counter("unknown", reason).add();
-        break;
+  /// \return the message's fate (discovery::SeenMessage::fate)
+  std::string count(brokers::Outcome outcome, const std::string& reason) {
+    if (outcome == brokers::Outcome::confirmed) {
+      confirmed_.add();
+      tally_.done();
+      return "confirmed";
     }
+    const char* const word = outcome == brokers::Outcome::refused   ? "refused"
+                             : outcome == brokers::Outcome::dropped ? "dropped"
+                                                                    : "unknown";
+    counter(word, reason).add();
+    std::string fate = reason.empty() ? word : fmt::format("{}: {}", word, reason);
+    tally_.lost(fate);
+    return fate;
   }
-  void count_would_block() { would_block_.add(); }
+  void count_would_block() {
+    would_block_.add();
+    tally_.refused("not taken: would_block");
+  }
+  const ChannelTally& tally() const { return tally_; }
 
  private:
   config::Counter& counter(const char* outcome, const std::string& reason) {
@@ -84,6 +87,7 @@ class OutgoingChannel::OutcomeCounters {
   const config::Labels labels_;
   config::Counter& confirmed_;
   config::Counter& would_block_;
+  ChannelTally tally_;
 };
 
 OutgoingChannel::OutgoingChannel(const HostEnvironment& environment, discovery::InstanceId instance,
@@ -102,8 +106,10 @@ OutgoingChannel::OutgoingChannel(const HostEnvironment& environment, discovery::
   options.priority = channel.spec.priority;
   options.own_queue = channel.own_queue;
   options.original_queue = channel.original_queue;
-  options.on_outcome = [counters = counters_](std::uint64_t, brokers::Outcome outcome, const std::string& reason) {
-    counters->count(outcome, reason);
+  options.on_outcome = [counters = counters_, looks = &looks_](std::uint64_t number, brokers::Outcome outcome,
+                                                               const std::string& reason) {
+    const std::string fate = counters->count(outcome, reason);
+    if (looks->watched()) looks->ended(number, fate);
   };
   options.on_writable = std::move(events.on_writable);
   if (channel.spec.when_full != drivers::WhenFull::spool) {
@@ -124,11 +130,17 @@ OutgoingChannel::~OutgoingChannel() {
 }
 
 drivers::PublishStatus OutgoingChannel::publish(drivers::Message message) {
-  if (!looks_.watched()) return pass_on(std::move(message));
+  std::uint64_t number = 0;
+  if (!looks_.watched()) return pass_on(std::move(message), number);
   const drivers::Message seen = message;
-  const auto status = pass_on(std::move(message));
-  if (status == drivers::PublishStatus::accepted) looks_.saw(seen);
+  const auto begin = clock_.now();
+  const auto status = pass_on(std::move(message), number);
+  if (status == drivers::PublishStatus::accepted) looks_.saw(seen, {number, begin});
   return status;
+}
+
+const ChannelTally& OutgoingChannel::tally() const {
+  return counters_->tally();
 }
 
 ChannelQueue::Backlog OutgoingChannel::backlog() const {
@@ -140,8 +152,11 @@ ChannelQueue::Backlog OutgoingChannel::backlog() const {
   return backlog;
 }
 
-drivers::PublishStatus OutgoingChannel::pass_on(drivers::Message message) {
-  switch (publisher_->publish(std::move(message)).status) {
+/// \param number set to the publisher's number of a message that it has accepted
+drivers::PublishStatus OutgoingChannel::pass_on(drivers::Message message, std::uint64_t& number) {
+  const auto published = publisher_->publish(std::move(message));
+  number = published.number;
+  switch (published.status) {
     case brokers::PublishStatus::accepted:
       return drivers::PublishStatus::accepted;
     case brokers::PublishStatus::would_block:

@@ -8,6 +8,7 @@
 
 #include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/gateway/host/channel_plan.h>
+#include <iotcloud/gateway/host/channel_tally.h>
 #include <iotcloud/gateway/host/host_environment.h>
 
 namespace iotcloud::gateway {
@@ -31,6 +32,8 @@ class OutgoingChannel {
   drivers::PublishStatus publish(drivers::Message message);
   /// The messages that wait to be confirmed. Thread safe.
   ChannelQueue::Backlog backlog() const;
+  /// What became of the messages. Thread safe.
+  const ChannelTally& tally() const;
   /// The looks at what is published here. Thread safe.
   ChannelLooks& looks() { return looks_; }
   /// Whether unsent messages stay on disk until the channel is opened for this instance again.
@@ -43,7 +46,7 @@ class OutgoingChannel {
  private:
   class OutcomeCounters;
 
-  drivers::PublishStatus pass_on(drivers::Message message);
+  drivers::PublishStatus pass_on(drivers::Message message, std::uint64_t& number);
 
   const discovery::InstanceId instance_;
   const std::string name_;

@@ -12,7 +12,9 @@
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/gateway/host/broker_states.h>
 #include <iotcloud/gateway/host/channel_looks.h>
+#include <iotcloud/gateway/host/found_things.h>
 #include <iotcloud/gateway/host/instance_spec.h>
+#include <iotcloud/gateway/host/losing_channel.h>
 #include <iotcloud/gateway/host/passed_message.h>
 
 /// The protocol between a gateway and a driver host process, over a Unix domain socket in the gateway's state folder.
@@ -25,7 +27,7 @@ namespace iotcloud::gateway::protocol {
 
 /// Increased with every incompatible change. A gateway ends a host that has another version instead of adopting it. A
 /// change of keys is incompatible; a new field that may be missing is not.
-inline constexpr int version = 5;
+inline constexpr int version = 6;
 
 // ---- from the gateway
 
@@ -170,10 +172,11 @@ struct Pong {
   std::int64_t number = 0;    ///< Ping::number
   std::vector<Stall> stalls;  ///< the event threads that are stuck
   std::vector<BrokerLink> brokers{};
+  std::vector<LosingChannel> losing{};
   static constexpr const char* kind = "pong";
   static constexpr const char* what = "a pong";
-  static constexpr auto fields =
-      std::tuple{IOTCLOUD_FIELD(number, required), IOTCLOUD_FIELD(stalls, required), IOTCLOUD_FIELD(brokers, rare)};
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(number, required), IOTCLOUD_FIELD(stalls, required),
+                                            IOTCLOUD_FIELD(brokers, rare), IOTCLOUD_FIELD(losing, rare)};
 };
 
 /// The form of the samples of metrics.
@@ -207,6 +210,14 @@ struct ChannelAnswer {
       std::tuple{IOTCLOUD_FIELD(number, required), IOTCLOUD_FIELD_IN(WithBase64, look, required, "look", look)};
 };
 
+/// What an instance that is a finder tells.
+struct FoundMessage {
+  FoundReport report;
+  static constexpr const char* kind = "found";
+  static constexpr const char* what = "what a finder found";
+  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(report, required)};
+};
+
 // ---- all of them
 
 /// A message from the gateway.
@@ -214,8 +225,8 @@ using HostCommand =
     std::variant<CreateInstance, ActivateInstance, DeactivateInstance, RemoveInstance, ShutDown, Ping, AskForSamples,
                  DeliverMessage, AnswerMessage, RenewLeases, AskAboutChannel, ProveGateway>;
 /// A message from the host.
-using HostReport =
-    std::variant<HostHello, PluginRefused, StatusChange, Pong, HostSamples, PassMessage, AnswerMessage, ChannelAnswer>;
+using HostReport = std::variant<HostHello, PluginRefused, StatusChange, Pong, HostSamples, PassMessage, AnswerMessage,
+                                ChannelAnswer, FoundMessage>;
 
 /// Encodes a complete frame. Bytes that are not UTF-8 are replaced.
 std::string encode(const HostCommand& command);

@@ -22,15 +22,18 @@ constexpr std::size_t longest_target = 2'000;
 /// \throws config::Error unless the target is a page that is read here. It has only the characters of an encoded query,
 /// so that nobody puts a header or another request behind it.
 void check_target(const std::string& target) {
-  constexpr std::string_view tap = "/tap?";
   constexpr std::string_view of_a_query = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-_.~%=&";
-  if (target == "/topology") return;
-  if (target.starts_with(tap) && target.size() <= longest_target &&
-      target.find_first_not_of(of_a_query, tap.size()) == std::string::npos) {
-    return;
+  if (target == "/topology" || target == "/units") return;
+  for (const std::string_view page : {"/tap?", "/trace?"}) {
+    if (target.starts_with(page) && target.size() <= longest_target &&
+        target.find_first_not_of(of_a_query, page.size()) == std::string::npos) {
+      return;
+    }
   }
-  throw config::Error(fmt::format("a worker's page \"{}\" is not read here; there are /topology and /tap?...",
-                                  target.substr(0, longest_target)));
+  throw config::Error(
+      fmt::format("a worker's page \"{}\" is not read here; there are /topology, /units, /tap?... and "
+                  "/trace?...",
+                  target.substr(0, longest_target)));
 }
 
 discovery::WorkerRecord find_worker(const Master& master, const discovery::TopologyName& topology,

@@ -20,6 +20,12 @@ using Rows = std::vector<std::vector<std::string>>;
 
 namespace {
 
+/// Why the instance is as it is, and what made it if no master ordered it.
+std::string reason_words(const DriverRecord& driver) {
+  if (driver.made_by.empty()) return driver.reason;
+  return driver.reason.empty() ? "by " + driver.made_by : fmt::format("{}; by {}", driver.reason, driver.made_by);
+}
+
 class Drivers final : public WatchedVerb {
  public:
   Drivers()
@@ -44,7 +50,7 @@ class Drivers final : public WatchedVerb {
         rows.push_back({driver.instance, printable(full_name(driver)), printable(driver.name),
                         printable(driver.gateway) + (lost.contains(driver.gateway) ? " (lost)" : ""),
                         to_string(driver.state), age(driver.since_ms, now_ms()), printable(metadata_words(driver)),
-                        printable(driver.reason)});
+                        printable(reason_words(driver))});
     } else {
       for (const auto& driver : drivers) json.push_back(driver_json(driver));
     }
@@ -88,6 +94,7 @@ Json driver_json(const DriverRecord& driver) {
           {"state", to_string(driver.state)},
           {"reason", driver.reason},
           {"starts_again", driver.starts_again},
+          {"made_by", driver.made_by},
           {"since_ms", driver.since_ms},
           {"metadata", driver.metadata},
           {"channels", std::move(channels)},

@@ -275,7 +275,10 @@ class RenewRights final : public Verb {
               "Give all nodes in ZooKeeper the rights that the fleet's users have now, after a user was added to "
               "registry.users or taken from it: nodes keep the rights with which they were made, so a gateway that was "
               "added later may not register, and a stolen password counts on. First give the new file to all processes "
-              "and start them again, then run this beside a master",
+              "and start them again, then run this beside a master. It counts the nodes that it looked at, those of "
+              "them that had other rights, those that kept masters out (REMOVED; FOREIGN: with nodes below, so they "
+              "stay), and of ZooKeeper's own nodes those that everybody may change (OPEN) and those whose rights keep "
+              "this master out (SEIZED)",
               "iotcloud registry rights --registry zookeeper://127.0.0.1:2181 --user master --password-file "
               "/etc/iotcloud/registry.password --users /etc/iotcloud/registry.users",
               std::nullopt}) {}
@@ -313,9 +316,9 @@ class RenewRights final : public Verb {
         close_server_ ? discovery::ServersNodes::closed : discovery::ServersNodes::only_looked_at);
     const nlohmann::ordered_json answer{{"nodes", done.nodes},     {"changed", done.changed}, {"removed", done.removed},
                                         {"foreign", done.foreign}, {"open", done.open},       {"seized", done.seized}};
-    print(call.out, call.format, {"NODES", "HAD OTHER RIGHTS", "REMOVED", "FOREIGN"},
+    print(call.out, call.format, {"NODES", "HAD OTHER RIGHTS", "REMOVED", "FOREIGN", "OPEN", "SEIZED"},
           {{std::to_string(done.nodes), std::to_string(done.changed), std::to_string(done.removed.size()),
-            std::to_string(done.foreign.size())}},
+            std::to_string(done.foreign.size()), std::to_string(done.open.size()), std::to_string(done.seized.size())}},
           answer);
     for (const auto& path : done.removed)
       call.err << fmt::format("{} kept masters out, and had nothing below: it is removed\n", path);

@@ -117,13 +117,17 @@ void add_registry_verbs(Verbs& verbs);
 void add_channel_verbs(Verbs& verbs);
 void add_topology_verbs(Verbs& verbs);
 void add_run_verbs(Verbs& verbs);
+void add_recording_verbs(Verbs& verbs);
+void add_new_verbs(Verbs& verbs);
+void add_check_verbs(Verbs& verbs);
 void add_plugin_verbs(Verbs& verbs);
 void add_signing_verbs(Verbs& verbs);
 void add_security_verbs(Verbs& verbs);
 void add_completion_verbs(Verbs& verbs);
-inline constexpr auto families = {add_gateway_verbs,  add_driver_verbs,  add_history_verbs,  add_event_verbs,
-                                  add_status_verbs,   add_order_verbs,   add_fleet_verbs,    add_drain_verbs,
-                                  add_registry_verbs, add_channel_verbs, add_topology_verbs, add_run_verbs,
-                                  add_plugin_verbs,   add_signing_verbs, add_security_verbs, add_completion_verbs};
+inline constexpr auto families = {add_gateway_verbs,   add_driver_verbs,   add_history_verbs,   add_event_verbs,
+                                  add_status_verbs,    add_order_verbs,    add_fleet_verbs,     add_drain_verbs,
+                                  add_registry_verbs,  add_channel_verbs,  add_topology_verbs,  add_run_verbs,
+                                  add_recording_verbs, add_new_verbs,      add_check_verbs,     add_plugin_verbs,
+                                  add_signing_verbs,   add_security_verbs, add_completion_verbs};
 
 }  // namespace iotcloud::master::cli

@@ -27,7 +27,7 @@ std::vector<discovery::DriverRecord> lost_orders(discovery::Registry& registry, 
   std::set<discovery::InstanceId> known;
   for (const auto& driver : drivers) known.insert(driver.instance);
   for (const auto& [gateway, order] : discovery::list_orders(registry, paths, lost)) {
-    if (known.contains(order.instance)) continue;
+    if (known.contains(order.instance) || !order.made_by.empty()) continue;
     discovery::DriverRecord record;
     record.name = driver_of_order(order);
     record.instance = order.instance;

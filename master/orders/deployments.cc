@@ -3,9 +3,9 @@
 #include <utility>
 
 #include <iotcloud/discovery/directory.h>
+#include <iotcloud/discovery/instance_name.h>
 #include <iotcloud/master/orders/deployments.h>
 #include <iotcloud/master/orders/direct_gateways.h>
-#include <iotcloud/master/orders/instance_id.h>
 #include <iotcloud/master/orders/node_name.h>
 #include <iotcloud/master/orders/order_kind.h>
 
@@ -166,21 +166,23 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
   std::set<int> indexes(request.indexes.begin(), request.indexes.end());
   for (int i = 1; request.indexes.empty() && i <= request.count; ++i) indexes.insert(i);
   std::set<discovery::InstanceId> instances;
-  for (const int index : indexes) instances.insert(named_instance_id(id, request.name, index));
+  for (const int index : indexes) instances.insert(discovery::named_instance_id(id, request.name, index));
   const auto there = desk_.book.locate(instances, {gateway});
   for (const int index : indexes) {
     order.index = index;
     order.properties = properties_of(request, index);
-    order.instance = named_instance_id(id, request.name, index);
+    order.instance = discovery::named_instance_id(id, request.name, index);
     InstanceOutcome outcome{id, order.instance, OrderOutcome::failed, ""};
     const bool runs = there.contains(order.instance);
     const auto before = runs ? desk_.book.get(id, order.instance) : std::nullopt;
     const bool ordered = before.has_value();
+    const LocatedInstance* by_rule =
+        runs && desk_.book.is_made_by_rule(there.at(order.instance)) ? &there.at(order.instance) : nullptr;
     // An instance that a frozen gateway runs without an order gets its order again, and goes on when the registry is
     // adopted.
-    if (!runs || (!ordered && !gateway.frozen.empty())) {
+    if (!runs || by_rule || (!ordered && !gateway.frozen.empty())) {
       outcome.outcome = OrderOutcome::unknown;
-      OrderDesk::set_outcome(outcome, this->order(gateway, order, watch));
+      OrderDesk::set_outcome(outcome, this->order(gateway, order, watch, by_rule));
     } else if (ordered && is_as_wanted(desk_.book.record_of(there.at(order.instance)), *before, order)) {
       outcome.outcome = OrderOutcome::done;
       outcome.reason = "unchanged: it is deployed so already";
@@ -199,14 +201,20 @@ void Deployments::order_on(const GatewayStatus& gateway, const DeployRequest& re
   }
 }
 
-EarlyOutcome Deployments::order(const GatewayStatus& gateway, OrderRecord order, OutcomeWatch& watch) {
+EarlyOutcome Deployments::order(const GatewayStatus& gateway, OrderRecord order, OutcomeWatch& watch,
+                                const LocatedInstance* by_rule) {
   if (!gateway.alive && (!desk_.options.record_for_lost_gateways || desk_.is_direct(gateway.record.id)))
     return ReasonedOutcome{OrderOutcome::failed, lost_and_not_recorded_text};
   return desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
     order.epoch = lead.epoch;
-    desk_.book.create(gateway.record.id, order, lead);
+    if (by_rule && desk_.book.get(gateway.record.id, order.instance)) {
+      const auto take_over = [&](OrderRecord& word) { word = order; };
+      if (auto early = desk_.book.rewrite_word(*by_rule, lead, take_over)) return early;
+    } else {
+      desk_.book.create(gateway.record.id, order, lead);
+    }
     if (auto postponed = waiting(gateway)) return postponed;
-    watch.expect(order.instance, order.driver, std::nullopt);
+    watch.expect(order.instance, order.driver, by_rule ? by_rule->record : std::nullopt);
     return std::nullopt;
   });
 }

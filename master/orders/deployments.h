@@ -19,7 +19,9 @@ class Deployments {
   /// Orders all instances of a request on one gateway.
   void order_on(const discovery::GatewayStatus& gateway, const DeployRequest& request, OrderResult& result,
                 OutcomeWatch& watch);
-  EarlyOutcome order(const discovery::GatewayStatus& gateway, discovery::OrderRecord order, OutcomeWatch& watch);
+  /// \param by_rule what a rule of the gateway has made there by this name, which the order takes over; null: nothing
+  EarlyOutcome order(const discovery::GatewayStatus& gateway, discovery::OrderRecord order, OutcomeWatch& watch,
+                     const LocatedInstance* by_rule = nullptr);
 
   OrderDesk& desk_;
 };

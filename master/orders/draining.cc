@@ -38,7 +38,10 @@ OrderResult Draining::drain_all(const GatewaySelection& selection, bool undo) {
   const std::set<discovery::GatewayId> ids(selection.gateways.begin(), selection.gateways.end());
   auto orders = discovery::list_orders(desk_.registry, desk_.options.paths, {ids.begin(), ids.end()},
                                        discovery::Unreadable::throws);
+  std::set<discovery::InstanceId> ordered;
+  for (const auto& placed : orders) ordered.insert(placed.order.instance);
   std::erase_if(orders, [&](const auto& placed) { return undo ? !placed.order.drained : !placed.order.active; });
+  if (!undo) add_made_by_rules(ids, ordered, orders);
   std::sort(orders.begin(), orders.end(), [](const auto& a, const auto& b) {
     return std::tie(a.gateway, a.order.name, a.order.index, a.order.instance) <
            std::tie(b.gateway, b.order.name, b.order.index, b.order.instance);
@@ -65,6 +68,20 @@ OrderResult Draining::drain_all(const GatewaySelection& selection, bool undo) {
   return result;
 }
 
+/// What rules of the gateways have made has no order as long as nobody said anything about it.
+void Draining::add_made_by_rules(const std::set<discovery::GatewayId>& gateways,
+                                 const std::set<discovery::InstanceId>& ordered,
+                                 std::vector<discovery::PlacedOrder>& orders) {
+  for (const auto& record : discovery::list_drivers(desk_.registry, desk_.options.paths)) {
+    if (record.made_by.empty() || ordered.contains(record.instance) || !gateways.contains(record.gateway)) continue;
+    OrderRecord order;
+    order.instance = record.instance;
+    order.name = record.deployment;
+    order.index = record.index;
+    orders.push_back({record.gateway, std::move(order)});
+  }
+}
+
 void Draining::mark(const discovery::GatewayId& gateway, bool undo, const discovery::Lead& lead) {
   const auto path = desk_.options.paths.gateway_draining(gateway);
   const auto node = desk_.registry.get(path);
@@ -83,11 +100,13 @@ void Draining::mark(const discovery::GatewayId& gateway, bool undo, const discov
 EarlyOutcome Draining::order(const LocatedInstance& where, const GatewayStatus& gateway, bool undo,
                              OutcomeWatch& watch) {
   return desk_.leadership.written([&](const discovery::Lead& lead) -> EarlyOutcome {
-    auto early = desk_.book.rewrite(where, lead, [&](OrderRecord& order) {
+    const auto alter = [&](OrderRecord& order) {
       const bool concerned = undo ? order.drained : order.active;
       order.active = undo ? order.active || concerned : false;
       order.drained = !undo && (order.drained || concerned);
-    });
+    };
+    const auto early = desk_.book.is_made_by_rule(where) ? desk_.book.rewrite_word(where, lead, alter)
+                                                         : desk_.book.rewrite(where, lead, alter);
     if (early) return early;
     if (auto postponed = waiting(gateway)) return postponed;
     const auto record = desk_.book.record_of(where);

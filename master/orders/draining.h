@@ -1,6 +1,8 @@
 #pragma once
 
+#include <set>
 #include <string>
+#include <vector>
 
 #include <iotcloud/master/orders/order_desk.h>
 
@@ -15,6 +17,8 @@ class Draining {
 
  private:
   OrderResult drain_all(const GatewaySelection& selection, bool undo);
+  void add_made_by_rules(const std::set<discovery::GatewayId>& gateways, const std::set<discovery::InstanceId>& ordered,
+                         std::vector<discovery::PlacedOrder>& orders);
   void mark(const discovery::GatewayId& gateway, bool undo, const discovery::Lead& lead);
   EarlyOutcome order(const LocatedInstance& where, const discovery::GatewayStatus& gateway, bool undo,
                      OutcomeWatch& watch);

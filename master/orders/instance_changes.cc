@@ -28,6 +28,13 @@ OutcomeWatch::Wanted wanted_by(InstanceAction action) {
   return OutcomeWatch::Wanted::gone;
 }
 
+/// The outcome for an instance of a rule that a person has undeployed, or of which nothing is found any more.
+ReasonedOutcome not_there_already(InstanceAction action) {
+  const bool done = action == InstanceAction::undeploy;
+  return {done ? OrderOutcome::done : OrderOutcome::failed,
+          "it does not run, and its rule makes it again only when it is started (iotcloud start)"};
+}
+
 }  // namespace
 
 OrderResult InstanceChanges::change(const InstanceSelection& selection, InstanceAction action) {
@@ -67,13 +74,18 @@ EarlyOutcome InstanceChanges::order(const LocatedInstance& where, const GatewayS
     return ReasonedOutcome{OrderOutcome::failed, lost_and_not_recorded_text};
   return desk_.leadership.written([&](const Lead& lead) -> EarlyOutcome {
     const bool later = gateway.draining && action == InstanceAction::start;
-    auto early = action == InstanceAction::undeploy
-                     ? desk_.book.remove(where, lead)
-                     : desk_.book.rewrite(where, lead, [&](OrderRecord& order) {
-                         order.drained = later && !order.active;
-                         order.active = action == InstanceAction::start && !order.drained;
-                       });
-    if (early) return early;
+    const auto alter = [&](OrderRecord& order) {
+      order.drained = later && !order.active;
+      order.active = action == InstanceAction::start && !order.drained;
+      if (!order.made_by.empty()) order.withheld = action == InstanceAction::undeploy;
+    };
+    if (desk_.book.is_made_by_rule(where)) {
+      if (!where.record && action != InstanceAction::start) return not_there_already(action);
+      if (auto early = desk_.book.rewrite_word(where, lead, alter)) return early;
+    } else if (auto early = action == InstanceAction::undeploy ? desk_.book.remove(where, lead)
+                                                               : desk_.book.rewrite(where, lead, alter)) {
+      return early;
+    }
     if (later)
       return ReasonedOutcome{
           OrderOutcome::pending,

@@ -259,8 +259,60 @@ EarlyOutcome OrderBook::remove(const LocatedInstance& where, const Lead& lead) {
   return ReasonedOutcome{OrderOutcome::done, "its gateway had not taken it up yet"};
 }
 
+/// The word about an instance of a rule before anybody said one; nullopt: its record does not say that a rule made it.
+std::optional<OrderRecord> OrderBook::first_word(const LocatedInstance& where) const {
+  const auto record = record_of(where);
+  if (!record || record->made_by.empty()) return std::nullopt;
+  OrderRecord word;
+  word.instance = where.instance;
+  word.made_by = record->made_by;
+  word.driver = record->name;
+  word.plugin = record->plugin;
+  word.name = record->deployment;
+  word.index = record->index;
+  return word;
+}
+
+bool OrderBook::is_made_by_rule(const LocatedInstance& where) {
+  const auto order = get(where.gateway, where.instance);
+  return order ? !order->made_by.empty() : first_word(where).has_value();
+}
+
+EarlyOutcome OrderBook::rewrite_word(const LocatedInstance& where, const Lead& lead,
+                                     const std::function<void(OrderRecord&)>& alter) {
+  if (!get(where.gateway, where.instance)) {
+    auto word = first_word(where);
+    if (!word) return ReasonedOutcome{OrderOutcome::failed, "it is being undeployed"};
+    alter(*word);
+    word->epoch = lead.epoch;
+    create(where.gateway, *std::move(word), lead);
+    return std::nullopt;
+  }
+  const auto altering = [&](OrderRecord& order) -> EarlyOutcome {
+    alter(order);
+    return std::nullopt;
+  };
+  return rewrite_standing(where, lead, altering, Standing::is_kept);
+}
+
 EarlyOutcome OrderBook::rewrite(const LocatedInstance& where, const Lead& lead,
                                 const std::function<void(OrderRecord&)>& alter, Standing standing) {
+  const auto of_rule = [](const std::string& made_by) {
+    return ReasonedOutcome{
+        OrderOutcome::failed,
+        fmt::format("{} of its gateway made it: change that in the gateway's file (provisioning)", made_by)};
+  };
+  const auto altering = [&](OrderRecord& order) -> EarlyOutcome {
+    if (!order.made_by.empty()) return of_rule(order.made_by);
+    alter(order);
+    return std::nullopt;
+  };
+  if (const auto word = first_word(where); word && !get(where.gateway, where.instance)) return of_rule(word->made_by);
+  return rewrite_standing(where, lead, altering, standing);
+}
+
+EarlyOutcome OrderBook::rewrite_standing(const LocatedInstance& where, const Lead& lead,
+                                         const std::function<EarlyOutcome(OrderRecord&)>& alter, Standing standing) {
   const auto path = paths_.order(where.gateway, where.instance);
   while (!leadership_.closing().stop_requested()) {
     const auto known = given_.at(path);  // before the node is read: another order may be given meanwhile
@@ -273,7 +325,7 @@ EarlyOutcome OrderBook::rewrite(const LocatedInstance& where, const Lead& lead,
     if (ours && standing == Standing::is_kept && is_old(*node, order.given_ms, known))
       return of_earlier_time(where.gateway, order.given_ms < known && !discovery::written_late(*node, order.given_ms));
     const auto given_before = std::max(ours ? order.given_ms : 0, known);
-    alter(order);
+    if (auto refusal = alter(order)) return refusal;
     order.epoch = lead.epoch;
     if (seal_) order.given_ms = std::max(config::system_clock().wall_ms(), given_before + 1);
     const std::string bytes = encode(order);

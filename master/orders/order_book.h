@@ -82,10 +82,17 @@ class OrderBook {
   /// Whether to sign what is left of an order after a change, if no trusted master signed the order: only when nothing
   /// of it is left.
   enum class Standing { is_kept, is_replaced };
-  /// Changes an existing order. Reads it and changes it again when another write came in between.
+  /// Changes an existing order. Reads it and changes it again when another write came in between. What a rule of a
+  /// gateway makes has no order.
   EarlyOutcome rewrite(const LocatedInstance& where, const discovery::Lead& lead,
                        const std::function<void(discovery::OrderRecord&)>& alter,
                        Standing standing = Standing::is_kept);
+  /// Whether a rule of its gateway makes the instance, and no master has ordered it.
+  bool is_made_by_rule(const LocatedInstance& where);
+  /// As rewrite(), of what people say about an instance that a rule makes (discovery::OrderRecord::made_by); makes the
+  /// word if there is none. `alter` may make an order of it.
+  EarlyOutcome rewrite_word(const LocatedInstance& where, const discovery::Lead& lead,
+                            const std::function<void(discovery::OrderRecord&)>& alter);
   /// The bytes for the node at that path, signed if this master signs.
   std::string sealed(const std::string& path, const std::string& bytes) const {
     return seal_ ? seal_(path, bytes) : bytes;
@@ -118,6 +125,9 @@ class OrderBook {
   void note_given(const std::string& path, std::int64_t given_ms) {
     if (seals()) given_.note(path, given_ms);
   }
+  std::optional<discovery::OrderRecord> first_word(const LocatedInstance& where) const;
+  EarlyOutcome rewrite_standing(const LocatedInstance& where, const discovery::Lead& lead,
+                                const std::function<EarlyOutcome(discovery::OrderRecord&)>& alter, Standing standing);
   void announce_removal(const LocatedInstance& where, const discovery::OrderRecord* order, const discovery::Lead& lead);
   discovery::Registry& registry_;
   const discovery::Paths& paths_;

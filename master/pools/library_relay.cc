@@ -91,6 +91,13 @@ void LibraryRelay::pass_all(const std::stop_token& stop) {
     return until != until_of.end() && Steady::now() < until->second;
   };
   for (const auto& pool : pools) {
+    const auto again_at = [&](const SentLibrary& library) {
+      const auto at = failed_.find({pool.id, library.sha256});
+      return at == failed_.end() ? Steady::time_point::min() : at->second;
+    };
+    // What was tried longest ago comes first: a library that never comes keeps no other one from coming.
+    std::stable_sort(needed.begin(), needed.end(),
+                     [&](const auto& a, const auto& b) { return again_at(a) < again_at(b); });
     for (const auto& library : needed) {
       if (stop.stop_requested()) return;
       const Errand errand{pool.id, library.sha256};

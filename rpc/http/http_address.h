@@ -4,7 +4,7 @@
 
 namespace iotcloud::rpc {
 
-/// "host:port" in its two parts. Private to the sources of the pages.
+/// "host:port" in its two parts.
 struct HttpAddress {
   /// Brackets of an IPv6 address go. Nothing is checked: without a colon the port is empty.
   explicit HttpAddress(const std::string& address) {

@@ -1,5 +1,7 @@
 #include <algorithm>
+#include <atomic>
 #include <charconv>
+#include <deque>
 #include <functional>
 #include <list>
 #include <map>
@@ -15,6 +17,7 @@
 #include <boost/asio/post.hpp>
 #include <boost/asio/ssl/context.hpp>
 #include <boost/asio/steady_timer.hpp>
+#include <boost/asio/write.hpp>
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
 #include <boost/beast/ssl.hpp>
@@ -23,8 +26,10 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/metrics.h>
+#include <iotcloud/config/mutex.h>
 #include <iotcloud/rpc/http/http_address.h>
 #include <iotcloud/rpc/http/http_server.h>
+#include <iotcloud/rpc/http/http_site.h>
 #include <iotcloud/rpc/http/page_guard.h>
 #include <iotcloud/rpc/http/page_turns.h>
 #include <iotcloud/rpc/peer_user.h>
@@ -40,8 +45,11 @@ namespace http = beast::http;
 using boost::system::error_code;
 using tcp = asio::ip::tcp;
 
-constexpr std::size_t most_connections = 64;
+constexpr std::size_t most_connections = 64, most_connections_of_site = 256;
 constexpr std::uint32_t longest_head = 8192;
+constexpr std::uint64_t longest_body = 65'536;  ///< of a request to a site
+/// Of a stream, that its reader has not taken.
+constexpr std::size_t most_untaken = std::size_t{16} << 20U;
 /// The most time for a whole request, from when the server waits for it, however slowly its bytes come; and the most
 /// time until the client has taken the answer.
 constexpr std::chrono::seconds request_limit{15}, answer_limit{15};
@@ -65,8 +73,9 @@ std::string decode(std::string_view text) {
   return out;
 }
 
-HttpRequest parse_target(std::string_view target) {
-  HttpRequest request;
+template <typename Request = HttpRequest>
+Request parse_target(std::string_view target) {
+  Request request;
   const auto question = target.find('?');
   request.path = decode(target.substr(0, question));
   while (question != std::string_view::npos && !target.empty()) {
@@ -84,7 +93,7 @@ HttpRequest parse_target(std::string_view target) {
 using Pages = std::map<std::string, HttpHandler>;
 
 HttpAnswer answer_to(const Pages& pages, std::string_view target) {
-  const HttpRequest request = parse_target(target);
+  const auto request = parse_target(target);
   const auto page = pages.find(request.path);
   if (page == pages.end()) {
     std::string known = "no such page; there are:";
@@ -104,9 +113,30 @@ class HttpConnection;
 /// or to send an answer. Used by the server's thread.
 using HttpConnections = std::list<HttpConnection*>;
 
+/// The way from any thread to a server's own, as long as there is a server.
+class Gate {
+ public:
+  explicit Gate(asio::io_context& io) : io_(&io) {}
+  template <typename Task>
+  void post(Task task) IOTCLOUD_EXCLUDES(mutex_) {
+    const config::MutexLock lock(mutex_);
+    if (io_ != nullptr) asio::post(*io_, std::move(task));
+  }
+  void close() IOTCLOUD_EXCLUDES(mutex_) {
+    const config::MutexLock lock(mutex_);
+    io_ = nullptr;
+  }
+
+ private:
+  config::Mutex mutex_;
+  asio::io_context* io_ IOTCLOUD_GUARDED_BY(mutex_);
+};
+
 /// What all connections of a server use.
 struct Shared {
   const Pages& pages;
+  const HttpSite& site;  ///< empty: there are pages
+  const std::shared_ptr<Gate>& gate;
   const PageGuard& guard;
   const config::Clock& clock;
   PageTurns turns{clock};
@@ -137,10 +167,14 @@ class HttpConnection {
   HttpConnection& operator=(const HttpConnection&) = delete;
 
   void cut() {
+    if (!open_) return;
+    const auto last = std::move(kept_);
     shared_.connections.erase(place_);
     open_ = false;
     close();
   }
+  /// Takes what keeps a connection that waits for its site; it may be the last that does.
+  std::shared_ptr<HttpConnection> release() { return std::move(kept_); }
   /// Why the reader's certificate counts no longer; empty: it counts, or there is none.
   virtual std::string distrust(const security::TlsContext& tls) = 0;
   /// Who shares limits: the holders of one certificate, the processes of one user, or what comes from one host.
@@ -151,13 +185,90 @@ class HttpConnection {
   virtual void close() = 0;
   void begin() { shared_.connections.splice(shared_.connections.end(), shared_.connections, place_); }
   bool is_open() const { return open_; }  ///< false: it was cut, and ends when its operation has
+  void keep(std::shared_ptr<HttpConnection> self) { kept_ = std::move(self); }
 
   Shared& shared_;
 
  private:
+  std::shared_ptr<HttpConnection> kept_;  ///< this, while no operation is pending because the site is to do something
   std::string reader_;
   const HttpConnections::iterator place_;
   bool open_ = true;
+};
+
+/// How a stream stands, for its connection and those who send.
+struct StreamState {
+  std::atomic<std::size_t> untaken{0};
+  std::atomic<bool> open{true};
+};
+
+/// A stream of a connection.
+template <typename Connection>
+class SiteStream final : public HttpStream {
+ public:
+  SiteStream(std::shared_ptr<Gate> gate, std::weak_ptr<Connection> connection, std::shared_ptr<StreamState> state)
+      : gate_(std::move(gate)), connection_(std::move(connection)), state_(std::move(state)) {}
+  ~SiteStream() override { end(); }
+  SiteStream(const SiteStream&) = delete;
+  SiteStream& operator=(const SiteStream&) = delete;
+
+  bool send(std::shared_ptr<const std::string> piece) override {
+    if (!state_->open) return false;
+    if (state_->untaken.fetch_add(piece->size()) + piece->size() > most_untaken) {
+      state_->open = false;
+      gate_->post([connection = connection_] {
+        if (const auto self = connection.lock()) self->fell_behind();
+      });
+      return false;
+    }
+    gate_->post([connection = connection_, piece = std::move(piece)]() mutable {
+      if (const auto self = connection.lock()) self->send_piece(std::move(piece));
+    });
+    return true;
+  }
+  void end() override {
+    if (!state_->open.exchange(false)) return;
+    gate_->post([connection = connection_] {
+      if (const auto self = connection.lock()) self->end_stream();
+    });
+  }
+
+ private:
+  const std::shared_ptr<Gate> gate_;
+  const std::weak_ptr<Connection> connection_;
+  const std::shared_ptr<StreamState> state_;
+};
+
+/// The reply to a request of a connection.
+template <typename Connection>
+class SiteReply final : public HttpReply {
+ public:
+  SiteReply(std::shared_ptr<Gate> gate, std::weak_ptr<Connection> connection)
+      : gate_(std::move(gate)), connection_(std::move(connection)) {}
+  ~SiteReply() override { answer({500, "text/plain", "nobody has answered\n"}); }
+  SiteReply(const SiteReply&) = delete;
+  SiteReply& operator=(const SiteReply&) = delete;
+
+  void answer(HttpAnswer answer) override {
+    if (given_.exchange(true)) return;
+    gate_->post([connection = connection_, answer = std::move(answer)]() mutable {
+      if (const auto self = connection.lock()) self->answered(std::move(answer));
+    });
+  }
+  std::shared_ptr<HttpStream> stream(HttpAnswer head) override {
+    auto state = std::make_shared<StreamState>();
+    auto made = std::make_shared<SiteStream<Connection>>(gate_, connection_, state);
+    if (given_.exchange(true)) return made;
+    gate_->post([connection = connection_, head = std::move(head), state = std::move(state)]() mutable {
+      if (const auto self = connection.lock()) self->begin_stream(std::move(head), std::move(state));
+    });
+    return made;
+  }
+
+ private:
+  const std::shared_ptr<Gate> gate_;
+  const std::weak_ptr<Connection> connection_;
+  std::atomic<bool> given_{false};
 };
 
 using PlainStream = beast::tcp_stream;
@@ -171,6 +282,11 @@ class HttpConnectionOver final : public HttpConnection,
   template <typename... Rest>
   HttpConnectionOver(Shared& shared, tcp::socket socket, Rest&... rest)
       : HttpConnection(shared, stranger_at(socket)), stream_(std::move(socket), rest...) {}
+  ~HttpConnectionOver() override {
+    if (state_) state_->open = false;
+  }
+  HttpConnectionOver(const HttpConnectionOver&) = delete;
+  HttpConnectionOver& operator=(const HttpConnectionOver&) = delete;
 
   std::string distrust(const security::TlsContext& tls) override {
     if constexpr (secure) return tls.distrust(security::shown_certificate(stream_.native_handle()));
@@ -191,6 +307,49 @@ class HttpConnectionOver final : public HttpConnection,
     }
   }
 
+  /// The site has an answer.
+  void answered(HttpAnswer made) {
+    if (!is_open()) return;
+    const auto self = release();
+    send(std::move(made));
+  }
+
+  /// The site has begun an answer without end, which ends with the connection.
+  void begin_stream(HttpAnswer head, std::shared_ptr<StreamState> state) {
+    if (!is_open()) return;
+    state_ = std::move(state);
+    auto text =
+        fmt::format("HTTP/1.1 {} {}\r\nServer: iotcloud\r\nConnection: close\r\nContent-Type: {}\r\n", head.status,
+                    http::obsolete_reason(static_cast<http::status>(head.status)).to_string(), head.content_type);
+    for (const auto& [name, value] : head.headers) text += fmt::format("{}: {}\r\n", name, value);
+    text += "\r\n" + head.body;
+    state_->untaken += text.size();
+    pieces_.push_front(std::make_shared<const std::string>(std::move(text)));
+    write_piece();
+  }
+
+  /// What other threads post may come before what this thread has posted: pieces wait for the beginning.
+  void send_piece(std::shared_ptr<const std::string> piece) {
+    if (!is_open()) return;
+    pieces_.push_back(std::move(piece));
+    if (state_ && pieces_.size() == 1) write_piece();
+  }
+
+  void end_stream() {
+    if (!is_open()) return;
+    ending_ = true;
+    if (state_ && pieces_.empty()) {
+      const auto self = release();
+      end();
+    }
+  }
+
+  void fell_behind() {
+    if (!is_open()) return;
+    shared_.refused("behind", reader() + " does not take what it is sent");
+    cut();
+  }
+
  private:
   static constexpr bool secure = std::is_same_v<Stream, TlsStream>;
   beast::tcp_stream& socket_stream() { return beast::get_lowest_layer(stream_); }
@@ -206,10 +365,11 @@ class HttpConnectionOver final : public HttpConnection,
     begin();
     parser_.emplace();
     parser_->header_limit(longest_head);
-    parser_->body_limit(0);
+    parser_->body_limit(shared_.site ? longest_body : 0);
     socket_stream().expires_after(request_limit);
     http::async_read(stream_, buffer_, *parser_, [self = this->shared_from_this()](error_code error, std::size_t) {
       if (!self->is_open()) return;
+      if (!error && self->shared_.site) return self->hand_over();
       if (!error) return self->await_turn(std::chrono::steady_clock::now() + turn_limit);
       if (is_no_http(error)) self->shared_.refused("request", "a reader's request is no HTTP: " + error.message());
     });
@@ -276,37 +436,103 @@ class HttpConnectionOver final : public HttpConnection,
     return made;
   }
 
+  /// Gives the request to the site. Until the site answers no operation is pending.
+  void hand_over() {
+    begin();
+    socket_stream().expires_never();
+    const auto& got = parser_->get();
+    auto request = parse_target<SiteRequest>({got.target().data(), got.target().size()});
+    head_ = got.method() == http::verb::head;
+    request.method = head_ ? "GET" : got.method_string().to_string();
+    for (const auto& field : got) {
+      auto name = field.name_string().to_string();
+      std::transform(name.begin(), name.end(), name.begin(),
+                     [](char c) { return static_cast<char>(c >= 'A' && c <= 'Z' ? c + ('a' - 'A') : c); });
+      request.headers[name] = field.value().to_string();
+    }
+    request.body = got.body();
+    error_code ignored;
+    auto& socket = socket_stream().socket();
+    const auto from = socket.remote_endpoint(ignored);
+    request.address = fmt::format("{}:{}", from.address().to_string(), from.port());
+    request.certificate = certificate();
+    request.user = peer_user(socket.native_handle());
+    const auto self = this->shared_from_this();
+    keep(self);
+    const auto reply = std::make_shared<SiteReply<HttpConnectionOver>>(shared_.gate, this->weak_from_this());
+    try {
+      shared_.site(std::move(request), reply);
+    } catch (const std::exception& error) {
+      reply->answer({500, "text/plain", std::string(error.what()) + "\n"});
+    }
+  }
+
+  void write_piece() {
+    begin();
+    socket_stream().expires_after(answer_limit);
+    asio::async_write(stream_, asio::buffer(*pieces_.front()),
+                      [self = this->shared_from_this()](error_code error, std::size_t) {
+                        if (!self->is_open()) return;
+                        if (error) return self->cut();
+                        self->state_->untaken -= self->pieces_.front()->size();
+                        self->pieces_.pop_front();
+                        if (!self->pieces_.empty()) return self->write_piece();
+                        if (!self->ending_) return;
+                        const auto last = self->release();
+                        self->end();
+                      });
+  }
+
   /// \param refused the answer instead of a page
   void write(std::optional<HttpAnswer> refused = std::nullopt) {
-    begin();
     page_took_ = {};
     const auto& request = parser_->get();
-    response_ = {};
-    response_.version(request.version());
-    response_.keep_alive(request.keep_alive() && !refused);
-    response_.set(http::field::server, "iotcloud");
-    const bool head = request.method() == http::verb::head;
-    if (head || request.method() == http::verb::get) {
-      HttpAnswer made = refused ? *std::move(refused) : answer();
-      response_.result(static_cast<unsigned>(made.status));
-      response_.set(http::field::content_type, made.content_type);
-      response_.content_length(made.body.size());
-      if (!head) response_.body() = std::move(made.body);
+    begin_response(request.keep_alive() && !refused);
+    head_ = request.method() == http::verb::head;
+    if (head_ || request.method() == http::verb::get) {
+      fill(refused ? *std::move(refused) : answer());
     } else {
       response_.result(http::status::method_not_allowed);
       response_.set(http::field::allow, "GET, HEAD");
       response_.prepare_payload();
     }
     shared_.turns.took(reader(), page_took_);
+    write_response();
+  }
+
+  /// Sends what the site answers.
+  void send(HttpAnswer made) {
+    begin_response(parser_->get().keep_alive());
+    fill(std::move(made));
+    write_response();
+  }
+
+  void begin_response(bool keep_alive) {
+    begin();
+    response_ = {};
+    response_.version(parser_->get().version());
+    response_.keep_alive(keep_alive);
+    response_.set(http::field::server, "iotcloud");
+  }
+
+  void fill(HttpAnswer made) {
+    response_.result(static_cast<unsigned>(made.status));
+    response_.set(http::field::content_type, made.content_type);
+    for (const auto& [name, value] : made.headers) response_.insert(name, value);
+    response_.content_length(made.body.size());
+    if (!head_) response_.body() = std::move(made.body);
+  }
+
+  void write_response() {
     socket_stream().expires_after(answer_limit);
     serializer_.emplace(response_);
-    serializer_->split(head);
+    serializer_->split(head_);
     const auto done = [self = this->shared_from_this()](error_code error, std::size_t) {
       if (error || !self->is_open()) return;
       if (self->response_.keep_alive()) return self->read();
       self->end();
     };
-    if (head) {
+    if (head_) {
       http::async_write_header(stream_, *serializer_, done);
     } else {
       http::async_write(stream_, *serializer_, done);
@@ -324,24 +550,33 @@ class HttpConnectionOver final : public HttpConnection,
 
   Stream stream_;
   beast::flat_buffer buffer_;
-  std::optional<http::request_parser<http::empty_body>> parser_;
+  std::optional<http::request_parser<http::string_body>> parser_;
   http::response<http::string_body> response_;
   std::optional<http::response_serializer<http::string_body>> serializer_;
   std::optional<security::TokenEntry> holder_;
   std::string shown_;                             ///< the header by which `holder_` was found
   config::Clock::Instant::duration page_took_{};  ///< of the present answer
   asio::steady_timer turn_{stream_.get_executor()};
+  bool head_ = false;                                      ///< of the present answer only the head is sent
+  std::shared_ptr<StreamState> state_;                     ///< null: no stream has begun
+  std::deque<std::shared_ptr<const std::string>> pieces_;  ///< that are still to be sent; the first is on its way
+  bool ending_ = false;                                    ///< the stream ends behind these
 };
 
 }  // namespace
 
+HttpRequest read_target(const std::string& target) {
+  return parse_target(target);
+}
+
 struct HttpServer::Impl {
-  Impl(const PageSettings& settings, Pages handlers, const config::Clock& clock)
+  Impl(const PageSettings& settings, Pages handlers, HttpSite whole, const config::Clock& clock)
       : pages(std::move(handlers)),
-        guard(settings, clock),
+        site(std::move(whole)),
+        guard(settings, clock, site ? PageGuard::Of::site : PageGuard::Of::pages),
         host(HttpAddress(settings.address).host),
         look_period(settings.look_period),
-        shared{pages, guard, clock},
+        shared{pages, site, gate, guard, clock},
         acceptor(io) {
     shared.refused = [this](const auto& reason, const auto& text) { refused(reason, text); };
     tcp::resolver resolver(io);
@@ -358,8 +593,11 @@ struct HttpServer::Impl {
     thread = std::thread([this] { io.run(); });
   }
   ~Impl() {
+    gate->close();
     io.stop();
     if (thread.joinable()) thread.join();
+    std::vector<std::shared_ptr<HttpConnection>> waiting;  // which wait for the site
+    for (HttpConnection* const connection : shared.connections) waiting.push_back(connection->release());
   }
 
   void accept() {
@@ -413,7 +651,7 @@ struct HttpServer::Impl {
   /// answered, and no reader keeps others away, however fast it asks.
   void make_room() {
     const HttpConnections& connections = shared.connections;
-    if (connections.size() < most_connections) return;
+    if (connections.size() < (site ? most_connections_of_site : most_connections)) return;
     std::map<std::string, std::size_t> counts;
     for (const auto* const one : connections) ++counts[one->reader()];
     const auto most = std::max_element(counts.begin(), counts.end(),
@@ -435,13 +673,16 @@ struct HttpServer::Impl {
   }
 
   const Pages pages;
+  const HttpSite site;
   PageGuard guard;
   const std::string host;
   const std::chrono::milliseconds look_period;
   std::uint16_t bound_port = 0;
   const config::Logger logger{"http"};
   RefusalLog log{logger};
-  Shared shared;  ///< declared before `io`, whose destructor destroys connections
+  /// Declared before `io`, whose destructor destroys connections; the gate only knows where `io` will be.
+  const std::shared_ptr<Gate> gate = std::make_shared<Gate>(io);
+  Shared shared;
   asio::io_context io{1};
   tcp::acceptor acceptor;
   asio::steady_timer pause{io}, looking{io};
@@ -450,8 +691,17 @@ struct HttpServer::Impl {
 
 HttpServer::HttpServer(const PageSettings& settings, std::map<std::string, HttpHandler> pages,
                        const config::Clock& clock) {
+  serve(settings, std::move(pages), {}, clock);
+}
+
+HttpServer::HttpServer(const PageSettings& settings, HttpSite site) {
+  serve(settings, {}, std::move(site), config::system_clock());
+}
+
+void HttpServer::serve(const PageSettings& settings, std::map<std::string, HttpHandler> pages, HttpSite site,
+                       const config::Clock& clock) {
   try {
-    impl_ = std::make_unique<Impl>(settings, std::move(pages), clock);
+    impl_ = std::make_unique<Impl>(settings, std::move(pages), std::move(site), clock);
   } catch (const std::exception& e) {
     throw config::Error("pages cannot be served at " + settings.address + " (" + e.what() +
                         "); is the address of the form host:port, and the port free?");

@@ -5,6 +5,7 @@
 #include <memory>
 #include <string>
 #include <utility>
+#include <vector>
 
 #include <iotcloud/config/clock.h>
 #include <iotcloud/rpc/http/page_settings.h>
@@ -17,15 +18,24 @@ struct HttpRequest {
   std::map<std::string, std::string> query;  ///< decoded
 };
 
+/// Reads path and query: "/tap?id=a%20b".
+HttpRequest read_target(const std::string& target);
+
 /// The response.
 struct HttpAnswer {
   int status = 200;
   std::string content_type = "application/json";
   std::string body;
+  std::vector<std::pair<std::string, std::string>> headers{};  ///< more headers: name, value
 };
 
 /// Answers one GET. The server's thread makes one call at a time, so keep it short. An exception is answered as 500.
 using HttpHandler = std::function<HttpAnswer(const HttpRequest&)>;
+
+struct SiteRequest;
+class HttpReply;
+/// Answers one request of a site, at once or later (http_site.h). Called on the server's thread: it must not block.
+using HttpSite = std::function<void(SiteRequest request, std::shared_ptr<HttpReply> reply)>;
 
 /// A small HTTP/1.1 server for a daemon's own pages, from construction to destruction: GET and HEAD, one thread, at
 /// most 64 connections. One more makes the server cut off, of the reader who has the most, the connection that has been
@@ -46,6 +56,9 @@ class HttpServer {
   /// The same without TLS and tokens.
   HttpServer(const std::string& address, std::map<std::string, HttpHandler> pages)
       : HttpServer(PageSettings{address, {}, ""}, std::move(pages)) {}
+  /// Serves a site (http_site.h) instead of pages, with at most 256 connections. `settings.tokens` only says that the
+  /// site asks for tokens; the server does not. Readers need no certificate.
+  HttpServer(const PageSettings& settings, HttpSite site);
   /// Returns when no handler runs any more.
   ~HttpServer();
 
@@ -56,6 +69,8 @@ class HttpServer {
   void reload();
 
  private:
+  void serve(const PageSettings& settings, std::map<std::string, HttpHandler> pages, HttpSite site,
+             const config::Clock& clock);
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };

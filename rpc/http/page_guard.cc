@@ -22,13 +22,15 @@ std::vector<std::string> watched(const PageSettings& settings) {
 
 }  // namespace
 
-PageGuard::PageGuard(PageSettings settings, const config::Clock& clock)
+PageGuard::PageGuard(PageSettings settings, const config::Clock& clock, Of of)
     : settings_(std::move(settings)),
       tries_(usual_token_tries(std::chrono::milliseconds{0}), clock),
-      tls_("pages", settings_.tls),
+      tls_(of == Of::site ? "site" : "pages", settings_.tls,
+           of == Of::site ? security::TlsContext::Side::site : security::TlsContext::Side::server),
       days_(security::certificates_in(watched(settings_)), config::process_metrics()) {
   if (const std::string problem = exposure(settings_); !problem.empty()) throw config::Error(problem);
-  if (!settings_.tokens.empty()) tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens, "pages", clock);
+  if (!settings_.tokens.empty() && of == Of::pages)
+    tokens_ = std::make_unique<security::TokenKeeper>(settings_.tokens, "pages", clock);
 }
 
 void PageGuard::reload() {

@@ -17,8 +17,11 @@ namespace iotcloud::rpc {
 /// Decides who may read a daemon's pages. Thread safe. Private to the sources of the pages.
 class PageGuard {
  public:
+  /// Of what a server has: pages, whose readers show the token with each request, or a site, which asks for tokens by
+  /// itself, and whose readers need no certificate.
+  enum class Of { pages, site };
   /// \throws config::Error for unusable files, and if exposure() gives a reason.
-  explicit PageGuard(PageSettings settings, const config::Clock& clock = config::system_clock());
+  explicit PageGuard(PageSettings settings, const config::Clock& clock = config::system_clock(), Of of = Of::pages);
   /// Reads certificates again, then tokens. \throws config::Error; an unusable file and later ones count as before.
   void reload();
 

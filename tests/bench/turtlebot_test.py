@@ -87,11 +87,21 @@ class PartsTest(unittest.TestCase):
         self.assertEqual([frame.late / MS for frame in frames], [1, 0, 7.5])
         self.assertAlmostEqual(frames[2].whole_ms, 9.5)
 
+    def test_a_frame_that_is_made_up_for_is_as_late_as_it_is_and_makes_no_other_one_early(self):
+        frames = self.frames("".join(row(*each) for each in enumerate((100, 150, 275, 277, 300, 350))))
+        self.assertEqual(parts.note_lateness(frames, PERIOD), 6)
+        self.assertEqual([frame.late / MS for frame in frames], [0, 0, 75, 27, 0, 0])
+
     def test_a_frame_that_was_left_out_is_missing_in_the_grid(self):
-        frames = self.frames(row(0, 100) + row(1, 210) + row(2, 250))
-        self.assertEqual(parts.note_lateness(frames, PERIOD), 4)
-        self.assertEqual([frame.late / MS for frame in frames], [0, 10, 0])
+        frames = self.frames("".join(row(*each) for each in enumerate((100, 1350, 1355, 1400))))
+        self.assertEqual(parts.note_lateness(frames, PERIOD), 27)
+        self.assertEqual([frame.late / MS for frame in frames], [0, 1200, 5, 0])
         self.assertEqual(parts.note_lateness([], PERIOD), 0)
+
+    def test_no_frame_is_early_when_those_behind_a_gap_are_the_least_late(self):
+        frames = self.frames("".join(row(*each) for each in enumerate((103, 1353, 1356, 1400))))
+        self.assertEqual(parts.note_lateness(frames, PERIOD), 27)
+        self.assertEqual([frame.late / MS for frame in frames], [3, 1203, 6, 0])
 
     def test_the_slowest_hundredth_is_taken_apart(self):
         frames = self.frames("".join(row(index, 100 + 50 * index, latency_us=str(2000 + index)) for index in range(200)))

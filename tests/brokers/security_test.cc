@@ -1,4 +1,5 @@
 // Every broker with a server, behind TLS with client certificates, users and passwords.
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <cstddef>
@@ -15,9 +16,17 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <openssl/ssl.h>
+#include <sys/socket.h>
+#include <sys/time.h>
+#include <unistd.h>
 
 #include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/brokers/tampering_proxy.h"
 #include "iotcloud/tests/captured_log.h"
+#include "iotcloud/tests/files.h"
+#include "iotcloud/tests/loopback_listener.h"
+#include "iotcloud/tests/servers/free_port.h"
 #include "iotcloud/tests/servers/private_server.h"
 
 namespace iotcloud::brokers {
@@ -45,6 +54,10 @@ const Secured kinds[] = {
     {"kafka", "cannot connect", "cannot connect", "ca.location", "key", "cannot connect"},
     {"activemq", "cannot connect", "certificate", "cannot connect", "cannot connect", "list of revoked certificates"}};
 
+const Secured& kind_named(const std::string& name) {
+  return *std::ranges::find(kinds, name, &Secured::name);
+}
+
 std::size_t count(const std::string& text, const std::string& word) {
   std::size_t found = 0;
   for (auto at = text.find(word); at != std::string::npos; at = text.find(word, at + 1)) ++found;
@@ -57,7 +70,14 @@ class BrokerSecurity : public testing::TestWithParam<Secured> {
   void SetUp() override {
     if (served_ == GetParam().name) return;
     server_.reset();
-    server_ = std::make_unique<tests::PrivateServer>(GetParam().name + ".py", std::vector<std::string>{"--tls"});
+    std::vector<std::string> arguments{"--tls"};
+    if (GetParam().name == "kafka") {
+      telling_port_ = tests::free_port();
+      told_port_ = tests::free_port();
+      arguments.insert(arguments.end(),
+                       {"--listener", std::to_string(telling_port_) + ":" + std::to_string(told_port_)});
+    }
+    server_ = std::make_unique<tests::PrivateServer>(GetParam().name + ".py", arguments);
     served_ = GetParam().name;
   }
   static void TearDownTestSuite() {
@@ -121,10 +141,14 @@ class BrokerSecurity : public testing::TestWithParam<Secured> {
 
   static std::unique_ptr<tests::PrivateServer> server_;
   static std::string served_;
+  /// Where a Kafka tells its clients to go on at the other one.
+  static int telling_port_, told_port_;
 };
 
 std::unique_ptr<tests::PrivateServer> BrokerSecurity::server_;
 std::string BrokerSecurity::served_;
+int BrokerSecurity::telling_port_ = 0;
+int BrokerSecurity::told_port_ = 0;
 
 TEST_P(BrokerSecurity, CarriesMessagesOfEverySizeInOrder) {
   const auto broker = make_broker(options());
@@ -288,6 +312,91 @@ TEST_P(BrokerSecurity, FilesThatCannotBeUsedAreNamed) {
 INSTANTIATE_TEST_SUITE_P(On, BrokerSecurity, testing::ValuesIn(kinds),
                          [](const auto& kind) { return kind.param.name; });
 
+/// Two servers with authorities of their own, and a client of each with one file of revocations for both.
+class OpenConnections : public BrokerSecurity {
+ protected:
+  void SetUp() override {
+    BrokerSecurity::SetUp();
+    other_ = std::make_unique<tests::PrivateServer>(GetParam().name + ".py", std::vector<std::string>{"--tls"});
+    run_python(
+        "import sys; sys.path.insert(0, sys.argv[1]); import certificates; "
+        "certificates.Certificates(\"" +
+        other_->folder().string() + "\").revoke()");
+  }
+  /// What the first server's authority has revoked from now on; the other one's has revoked nothing.
+  void revoke_of_both(const std::string& names) {
+    revoke(names);
+    std::ofstream(file("new")) << tests::read_file(file("revoked.pem"))
+                               << tests::read_file(other_->folder() / "revoked.pem");
+    std::filesystem::rename(file("new"), file("both.pem"));
+  }
+  static BrokerOptions options_with_both() {
+    BrokerOptions both = options();
+    both.tls.revoked_file = file("both.pem");
+    return both;
+  }
+  BrokerOptions options_of_other() const {
+    BrokerOptions other = options_with_both();
+    other.urls = {other_->url()};
+    const auto folder = other_->folder();
+    other.tls.ca_file = folder / "ca.pem";
+    other.tls.certificate_file = folder / "client.pem";
+    other.tls.key_file = folder / "client.key";
+    return other;
+  }
+  std::unique_ptr<tests::PrivateServer> other_;
+};
+
+TEST_P(OpenConnections, ToAServerThatIsRevokedEndByThemselvesAndThoseToOthersGoOn) {
+  revoke_of_both("");
+  const tests::CapturedLog log;
+  const auto broker = make_broker(options_with_both());
+  const auto other = make_broker(options_of_other());
+  Inbox inbox;
+  Inbox inbox_of_other;
+  Topic durable = topic();
+  durable.durable = true;
+  durable.exchange = "tls_durable";
+  const auto subscription = broker->subscribe(durable, {}, inbox.handler());
+  const auto publisher = broker->publisher(durable, {});
+  const auto subscription_of_other = other->subscribe(durable, {}, inbox_of_other.handler());
+  const auto publisher_of_other = other->publisher(durable, {});
+  publisher->publish(text_message("1"));
+  publisher_of_other->publish(text_message("1"));
+  ASSERT_TRUE(inbox.wait_for(1));
+  ASSERT_TRUE(inbox_of_other.wait_for(1));
+
+  // Both know what the files held before: a list with another's certificate ends neither.
+  revoke_of_both("\"client\"");
+  const std::string obeyed = "open connections obey it";
+  ASSERT_TRUE(eventually([&] { return count(log.text(), obeyed) >= 2; })) << log.text();
+  publisher->publish(text_message("2"));
+  ASSERT_TRUE(inbox.wait_for(2));
+  EXPECT_FALSE(log.contains("lost the connection")) << log.text();
+
+  revoke_of_both("\"server\"");
+  ASSERT_TRUE(eventually([&] { return count(log.text(), obeyed) >= 4; })) << log.text();
+  ASSERT_TRUE(eventually([&] { return log.contains("the server's certificate has been revoked"); })) << log.text();
+  ASSERT_TRUE(eventually([&] { return log.contains("cannot connect"); })) << log.text();
+  int sent = 2;
+  ASSERT_TRUE(eventually([&] {  // the connections of one broker are not left at the same moment
+    publisher->publish(text_message(std::to_string(++sent)));
+    return !publisher->drain(std::chrono::seconds(2));
+  }));
+  EXPECT_EQ(broker->state(), ConnectionState::connecting);
+  publisher_of_other->publish(text_message("2"));
+  EXPECT_TRUE(inbox_of_other.wait_for(2));
+  EXPECT_EQ(count(log.text(), "lost the connection"), 1U) << log.text();
+
+  revoke_of_both("");
+  EXPECT_TRUE(inbox.wait_until([&](const auto& all) { return !all.empty() && std::stoi(all.back().body) == sent; }));
+  EXPECT_EQ(firsts(inbox), numbered(1, sent));
+  EXPECT_EQ(inbox_of_other.bodies(), numbered(1, 2));
+}
+
+INSTANTIATE_TEST_SUITE_P(On, OpenConnections, testing::Values(kind_named("rabbitmq"), kind_named("activemq")),
+                         [](const auto& kind) { return kind.param.name; });
+
 /// A server whose certificates, those of its clients and their authority are all made anew while messages flow.
 class BrokerRenewal : public BrokerSecurity {
  protected:
@@ -316,8 +425,8 @@ class BrokerRenewal : public BrokerSecurity {
   /// An authority that the server does not know, with a client, in the folder `other`.
   static void make_other_authority() {
     run_python(
-        "import os, sys; sys.path.insert(0, sys.argv[1]); import certificates; os.mkdir(sys.argv[2] + \"/other\"); "
-        "certificates.Certificates(sys.argv[2] + \"/other\")");
+        "import os, sys; sys.path.insert(0, sys.argv[1]); import certificates; "
+        "os.makedirs(sys.argv[2] + \"/other\", exist_ok=True); certificates.Certificates(sys.argv[2] + \"/other\")");
   }
   static void take(const char* from, const char* to) {
     std::filesystem::copy_file(file(from), file(to), std::filesystem::copy_options::overwrite_existing);
@@ -373,7 +482,7 @@ TEST_P(BrokerRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates)
   check_that_nothing_is_lost(2);
 }
 
-INSTANTIATE_TEST_SUITE_P(On, BrokerRenewal, testing::Values(kinds[0]),
+INSTANTIATE_TEST_SUITE_P(On, BrokerRenewal, testing::Values(kind_named("rabbitmq")),
                          [](const auto& kind) { return kind.param.name; });
 
 /// A client of ActiveMQ reads its files for each connection.
@@ -383,7 +492,7 @@ TEST_P(ActiveMqRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificate
   check_that_nothing_is_lost(1);
 }
 
-INSTANTIATE_TEST_SUITE_P(On, ActiveMqRenewal, testing::Values(kinds[2]),
+INSTANTIATE_TEST_SUITE_P(On, ActiveMqRenewal, testing::Values(kind_named("activemq")),
                          [](const auto& kind) { return kind.param.name; });
 
 /// A client of Kafka reads its files only once, so another one takes over.
@@ -443,11 +552,85 @@ TEST_P(KafkaRenewal, OpenConnectionsToAServerThatIsRevokedEnd) {
   EXPECT_EQ(firsts(inbox), numbered(1, 2));
 }
 
+TEST_P(KafkaRenewal, OpenConnectionsToAServerOfAnAuthorityThatIsTakenOutEnd) {
+  make_other_authority();
+  const auto trust = [](const std::vector<const char*>& authorities) {
+    std::ofstream out(file("new"));
+    for (const char* authority : authorities) out << tests::read_file(file(authority));
+    out.close();
+    std::filesystem::rename(file("new"), file("trusted.pem"));
+  };
+  trust({"ca.pem"});
+  tests::CapturedLog log;
+  BrokerOptions trusting = options();
+  trusting.tls.ca_file = file("trusted.pem");
+  const auto broker = make_broker(trusting);
+  Inbox inbox;
+  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+  const auto publisher = broker->publisher(topic(), {});
+  expect_arrivals(*publisher, inbox, 1);
+  trust({"ca.pem", "other/ca.pem"});
+  ASSERT_TRUE(eventually([&] { return count(log.text(), "takes over") >= 2; })) << log.text();
+  publish_numbers(*publisher, 4, 6);
+  ASSERT_TRUE(inbox.wait_for(6));
+  EXPECT_FALSE(log.contains("cannot connect")) << log.text();
+
+  trust({"other/ca.pem"});
+  ASSERT_TRUE(eventually([&] { return broker->state() == ConnectionState::connecting; })) << log.text();
+  publisher->publish(text_message("7"));
+  EXPECT_FALSE(publisher->drain(moment));
+  trust({"ca.pem"});
+  EXPECT_TRUE(inbox.wait_until([](const auto& received) { return received.back().body == "7"; }));
+  EXPECT_EQ(firsts(inbox), numbered(1, 7));
+}
+
+/// SECURITY.md: whoever has one server of a topology's file.
+TEST_P(KafkaRenewal, FurtherServersThatOneTellsOfAreLoggedInToWithTheSameTlsOnly) {
+  make_other_authority();
+  BrokerOptions told = options();
+  told.urls = {"kafkas://localhost:" + std::to_string(telling_port_)};
+  {
+    const tests::TamperingProxy further(static_cast<std::uint16_t>(telling_port_),
+                                        static_cast<std::uint16_t>(told_port_));
+    const auto broker = make_broker(told);
+    Inbox inbox;
+    const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
+    expect_arrivals(*broker->publisher(topic(), {}), inbox, 1);
+    EXPECT_GT(further.connections(), 0) << "at an address that is not in the file";
+    EXPECT_THAT(further.heard(), Not(HasSubstr(tests::server_password)));
+  }
+  // What a client says to a further server that shows this certificate; empty: it ends the handshake.
+  const auto words_to = [&](const char* certificate, const char* key) {
+    const tests::LoopbackListener stranger;
+    const timeval limit{static_cast<time_t>(std::chrono::seconds(patience).count()), 0};
+    ::setsockopt(stranger.socket(), SOL_SOCKET, SO_RCVTIMEO, &limit, sizeof limit);
+    const tests::TamperingProxy further(stranger.port(), static_cast<std::uint16_t>(told_port_));
+    const auto broker = make_broker(told);
+    const auto publisher = broker->publisher(topic(), {});
+    publisher->publish(text_message("4"));
+    const std::unique_ptr<SSL_CTX, decltype(&SSL_CTX_free)> context(SSL_CTX_new(TLS_server_method()), SSL_CTX_free);
+    EXPECT_EQ(SSL_CTX_use_certificate_file(context.get(), file(certificate).c_str(), SSL_FILETYPE_PEM), 1);
+    EXPECT_EQ(SSL_CTX_use_PrivateKey_file(context.get(), file(key).c_str(), SSL_FILETYPE_PEM), 1);
+    const std::unique_ptr<SSL, decltype(&SSL_free)> session(SSL_new(context.get()), SSL_free);
+    const int client = stranger.accept();
+    EXPECT_GE(client, 0) << "nobody came";
+    SSL_set_fd(session.get(), client);
+    std::string words(1000, '\0');
+    const int size = SSL_accept(session.get()) == 1 ? SSL_read(session.get(), words.data(), 1000) : 0;
+    ::close(client);
+    words.resize(static_cast<std::size_t>(std::max(size, 0)));
+    return words;
+  };
+  EXPECT_THAT(words_to("server.pem", "server.key"), HasSubstr("iotcloud")) << "the attack";
+  EXPECT_EQ(words_to("other/server.pem", "other/server.key"), "");
+}
+
 TEST_P(KafkaRenewal, LosesNothingWhileMessagesFlowAndRefusesTheOldCertificates) {
   check_that_nothing_is_lost(1);
 }
 
-INSTANTIATE_TEST_SUITE_P(On, KafkaRenewal, testing::Values(kinds[1]), [](const auto& kind) { return kind.param.name; });
+INSTANTIATE_TEST_SUITE_P(On, KafkaRenewal, testing::Values(kind_named("kafka")),
+                         [](const auto& kind) { return kind.param.name; });
 
 }  // namespace
 }  // namespace iotcloud::brokers

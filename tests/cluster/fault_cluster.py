@@ -131,6 +131,10 @@ class FaultCluster(PrivateCluster):
     def received(self, worker):
         return self.metric(worker, "iotcloud_spout_received_total")
 
+    def lost(self, worker):
+        """How many messages its bolts gave up, whatever the reason."""
+        return sum(self.metric(worker, f"iotcloud_bolt_{name}_total") for name in ("lost", "unknown_driver"))
+
     def channels(self, worker):
         return self.metric(worker, "iotcloud_spout_channels")
 

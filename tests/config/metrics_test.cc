@@ -122,5 +122,20 @@ TEST(Metrics, lets_a_source_end_itself) {
   EXPECT_EQ(calls, 1);
 }
 
+TEST(Histogram, SpreadsItsSamplesOverQuartersOfAnOctave) {
+  Histogram histogram;
+  EXPECT_TRUE(histogram.spread().empty());
+  histogram.record_ns(1000, 3);
+  histogram.record_ns(1'000'000);
+  histogram.record_ns(1);
+  const auto spread = histogram.spread();
+  ASSERT_EQ(spread.size(), 3u);
+  EXPECT_EQ(spread[1].second, 3u);
+  EXPECT_GE(spread[1].first, 1000);
+  EXPECT_LE(spread[1].first, 1000 * 1.25);
+  EXPECT_EQ(spread[2].second, 1u);
+  EXPECT_GE(spread[2].first, 1'000'000);
+}
+
 }  // namespace
 }  // namespace iotcloud::config

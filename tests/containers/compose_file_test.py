@@ -110,6 +110,8 @@ def problems_of_configurations():
                 yield f"{file.name} comes to {name} without a user and a password of its own"
             if name == "rabbitmq" and (not broker["urls"][0].startswith("amqps://") or not broker.get("tls", {}).get("ca")):
                 yield f"{file.name} comes to {name} without TLS"
+            if name == "rabbitmq" and not broker.get("tls", {}).get("revoked"):
+                yield f"{file.name} comes to {name} also when the server's certificate is revoked"
     expected = directives(ROOT / "deploy/systemd/registry-tunnel.conf") - {"connect = zk1:2281", "checkHost = zk1"}
     expected = {line.replace("/etc/iotcloud/lab1-tunnel", "/run/secrets/host").replace("/etc/iotcloud", "/run/secrets") for line in expected}
     expected |= {"connect = registry-tls:2281", "checkHost = registry-tls", "delay = yes"}

@@ -114,7 +114,9 @@ def binaries(docker, build, work):
     """An image with /out as the Dockerfile's stage `build` leaves it, from an existing build."""
     out = work / "binaries"
     shutil.rmtree(out, ignore_errors=True)
-    for part in words_of(r'ARG (?:PROGRAMS|CLIENTS)="([^"]*)"'):
+    run("/usr/bin/python3", ROOT / "development/package.py", "--build", build, "--out", out / "out/packages", "--no-lint", "--fast",
+        "--components", *words_of(r'ARG PROGRAMS="([^"]*)"'), "files")
+    for part in words_of(r'ARG CLIENTS="([^"]*)"'):
         run("cmake", "--install", build, "--strip", "--prefix", out / "out", "--component", part)
     packed = subprocess.Popen(["tar", "-C", str(out), "-c", "."], stdout=subprocess.PIPE)
     run("docker", "import", "-", BINARIES, env=docker.environment, stdin=packed.stdout)

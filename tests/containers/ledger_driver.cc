@@ -1,7 +1,8 @@
 // A driver that keeps accounts: each message on `data` has its own number, written to FOLDER/sent as soon as the
 // channel has accepted the message, and to FOLDER/received when it comes back on `echo`. Its next run continues where
-// the killed one stopped, so the accounts of all runs together show what was lost. Properties: `folder`, `rate` (per
-// second).
+// the killed one stopped, so the accounts of all runs together show what was lost. While a file FOLDER/pause is there
+// it sends nothing and still takes what comes back. Properties: `folder`, which gets a FOLDER for each gateway, `rate`
+// (per second).
 #include <algorithm>
 #include <charconv>
 #include <chrono>
@@ -33,6 +34,7 @@ class Ledger final : public drivers::Driver {
     context_ = &context;
     const std::filesystem::path folder = std::filesystem::path(context.property("folder", "")) / context.gateway_id();
     std::filesystem::create_directories(folder);
+    pause_ = folder / "pause";
     next_ = last_line(folder / "sent") + 1;
     sent_.open(folder / "sent", std::ios::app);
     received_.open(folder / "received", std::ios::app);
@@ -55,6 +57,7 @@ class Ledger final : public drivers::Driver {
   /// Writes a line with one write(2), so that it survives kill -9.
   static void write(std::ofstream& book, std::string_view number) { book << number << '\n' << std::flush; }
   void send() {
+    if (std::filesystem::exists(pause_)) return;
     const std::string number = std::to_string(next_);
     if (context_->publish("data", drivers::Payload::copy(number)) != drivers::PublishStatus::accepted) return;
     write(sent_, number);
@@ -63,6 +66,7 @@ class Ledger final : public drivers::Driver {
 
   drivers::DriverContext* context_ = nullptr;
   drivers::HandlerId timer_{};
+  std::filesystem::path pause_;
   std::uint64_t next_ = 1;
   std::ofstream sent_, received_;
 };

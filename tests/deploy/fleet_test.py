@@ -25,11 +25,12 @@ KEYS = {"master": [*ALL, "orders/signing_key", "orders/trusted_keys", "api/tls/r
                    "api/gateway_token_file", "api/worker_token_file", "api/pool_token_file", "audit/file"],
         "gateway": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "host_user", "host_starter", "host_files/write",
                     "plugins.require_signature", "plugins.require_version", "plugins.trusted_keys", "brokers/rabbitmq/password_file",
-                    "brokers/rabbitmq/tls/ca", "brokers/rabbitmq/properties/exchange", "brokers/rabbitmq/properties/reader",
-                    "audit/file"],
+                    "brokers/rabbitmq/tls/ca", "brokers/rabbitmq/tls/revoked", "brokers/rabbitmq/properties/exchange",
+                    "brokers/rabbitmq/properties/reader", "audit/file"],
         "pool": [*ALL, "orders.trusted_keys", "thrift/tls/revoked", "thrift/tokens", "worker_user", "worker_starter", "worker_files/read",
                  "libraries.require_signature", "libraries.require_version", "libraries.trusted_keys", "audit/file"],
-        "topology": [*ALL, "orders.trusted_keys", "brokers/rabbitmq/password_file", "brokers/rabbitmq/tls/ca"]}
+        "topology": [*ALL, "orders.trusted_keys", "brokers/rabbitmq/password_file", "brokers/rabbitmq/tls/ca",
+                     "brokers/rabbitmq/tls/revoked"]}
 
 
 def has(configuration, path):

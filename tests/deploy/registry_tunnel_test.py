@@ -6,6 +6,7 @@ revoked opens nothing; and who opens many connections takes them from nobody.
 usage: registry_tunnel_test.py DEPLOY_FOLDER IOTCLOUD
 """
 
+import contextlib
 import pathlib
 import re
 import signal
@@ -48,13 +49,16 @@ class PlainServer:
         while True:
             try:
                 client = self.accept()
-                self.heard += (data := client.recv(100))
-                client.sendall(data.upper())
-                client.close()
             except ssl.SSLError:
                 continue  # it does not talk to this one
             except OSError:
                 return
+            threading.Thread(target=self.answer, args=(client,), daemon=True).start()
+
+    def answer(self, client):
+        with contextlib.suppress(OSError), client:
+            self.heard += (data := client.recv(100))
+            client.sendall(data.upper())
 
     def accept(self):
         return self.listener.accept()[0]
@@ -100,28 +104,30 @@ class Tunnel(unittest.TestCase):
         self.stunnel("tunnel.conf", text)
         return accept
 
-    def stunnel(self, name, text):
+    def stunnel(self, name, text, descriptors=None):
+        """descriptors: as many as it may have."""
         file = self.folder / name
         file.write_text(text)
-        tunnel = subprocess.Popen(["/usr/bin/stunnel4", file], stderr=subprocess.DEVNULL)
+        limit = ["prlimit", f"--nofile={descriptors}"] if descriptors else []
+        tunnel = subprocess.Popen([*limit, "/usr/bin/stunnel4", file], stderr=subprocess.DEVNULL)
         self.addCleanup(tunnel.wait)
         self.addCleanup(tunnel.terminate)
         return tunnel
 
-    def of_cluster(self, name, host, places):
+    def of_cluster(self, name, host, places, descriptors=None):
         """Starts stunnel with a configuration of docker-compose.yml, as a container that has this certificate."""
         text = (DEPLOY / "cluster" / name).read_text()
         for there, here in {"/run/secrets/host": f"{self.folder}/{host}", "/run/secrets": str(self.folder), **places}.items():
             self.assertIn(there, text)
             text = text.replace(there, here)
-        return self.stunnel(name, text)
+        return self.stunnel(name, text, descriptors)
 
-    def ask(self, port):
-        """What comes back through the tunnel; empty: the connection ended."""
+    def ask(self, port, limit_s=LIMIT_S):
+        """What comes back through the tunnel in this time; empty: nothing, or the connection ended."""
         deadline = time.monotonic() + LIMIT_S
         while True:
             try:
-                client = socket.create_connection(("127.0.0.1", port), timeout=LIMIT_S)
+                client = socket.create_connection(("127.0.0.1", port), timeout=limit_s)
                 break
             except ConnectionRefusedError:  # it is starting
                 self.assertLess(time.monotonic(), deadline)
@@ -132,7 +138,7 @@ class Tunnel(unittest.TestCase):
             try:
                 client.sendall(b"ruok")
                 return client.recv(100)
-            except ConnectionError:
+            except (ConnectionError, TimeoutError):
                 return b""
 
     def test_it_leads_to_the_server_that_was_meant(self):
@@ -195,6 +201,24 @@ class Tunnel(unittest.TestCase):
         self.assertIsNone(tunnel.poll(), "the same process goes on")
         self.assertEqual(self.ask(ends["gateway-1"]), b"")
         self.assertEqual(self.ask_until_answered(ends["gateway-2"]), b"RUOK")
+
+    def test_who_takes_all_that_an_end_has_locks_others_out_there_until_he_goes(self):
+        """SECURITY.md, "Floods": where no firewall limits what one machine may have, and at the own end of a machine."""
+        behind = PlainServer()
+        own, inner = free_ports(2)
+        self.certs("add", "registry-tls", "gateway-1")
+        few, more = 64, 128
+        self.of_cluster("registry-tls.conf", "registry-tls",
+                        {"accept = 2281": f"accept = 127.0.0.1:{inner}", "zookeeper:2181": f"127.0.0.1:{behind.port}"}, more)
+        self.of_cluster("registry-tunnel.conf", "gateway-1", {"127.0.0.1:2181": f"127.0.0.1:{own}",
+                                                              "connect = registry-tls:2281": f"connect = 127.0.0.1:{inner}"}, few)
+        for end, descriptors in ((inner, more), (own, few)):
+            self.assertEqual(self.ask_until_answered(own), b"RUOK")
+            held = [socket.create_connection(("127.0.0.1", end)) for _ in range(descriptors)]
+            self.assertEqual(self.ask(own, limit_s=2), b"")
+            for one in held:
+                one.close()
+        self.assertEqual(self.ask_until_answered(own), b"RUOK")
 
     def zookeeper(self, of_an_address):
         """A ZooKeeper of its own. Returns its address."""

@@ -14,9 +14,13 @@ STAND_INS = {"id": "echo 1000", "dpkg-query": "exit 1", "sudo": "exit 1"}
 SERVERS = {"rabbitmq-server", "redis-server", "zookeeper"}
 JAVA = {"maven", "openjdk-17-jdk-headless", "openjdk-17-jre-headless"}
 STORES = {"librocksdb-dev", "libhiredis-dev"}
+DRIVERS = {"libmosquitto-dev", "libprotobuf-dev", "protobuf-compiler", "libmodbus-dev", "libudev-dev", "libpugixml-dev", "libgstreamer1.0-dev",
+           "libgstreamer-plugins-base1.0-dev"}
+DEVICES = {"mosquitto", "gstreamer1.0-plugins-good", "gstreamer1.0-plugins-bad", "gir1.2-gst-rtsp-server-1.0"}
+RECORDING = {"liblz4-dev", "libzstd-dev"}
 TESTS = {"libgtest-dev", "stunnel4", "clang", "libroscpp-dev"}
 PICTURES = {"gnuplot-nox"}
-ALL = SERVERS | JAVA | STORES | TESTS | PICTURES
+ALL = SERVERS | JAVA | STORES | DRIVERS | TESTS | PICTURES
 
 
 class PackagesTest(unittest.TestCase):
@@ -56,9 +60,21 @@ class PackagesTest(unittest.TestCase):
         for words, expected in ((("demo",), set()), (("bench", "brokers"), client), (("build",), client), (("test", "--unit"), client)):
             self.assertEqual(self.installed_by(*words, of=client), expected, words)
 
+    def test_what_builds_all_drivers_installs_their_libraries_and_the_demo_none(self):
+        for words, expected in ((("build",), DRIVERS), (("install", "there"), DRIVERS), (("demo",), set()), (("demo", "--cluster"), set()),
+                                (("bench", "runtime"), set())):
+            self.assertEqual(self.installed_by(*words, of=DRIVERS | DEVICES), expected, words)
+
+    def test_what_makes_debian_packages_is_installed_for_that_alone(self):
+        makers = {"debhelper", "help2man", "lintian", "debootstrap"}
+        self.assertEqual(self.installed_by("package", of=makers | {"libroscpp-dev", "python3-rosmaster"}),
+                         makers - {"debootstrap"} | {"libroscpp-dev"})
+        for words in (("demo",), ("build",), ("install", "there"), ("test", "--unit")):
+            self.assertEqual(self.installed_by(*words, of=makers), set(), words)
+
     def test_what_builds_or_documents_all_of_the_sdks_installs_the_stores(self):
         for words in (("build",), ("docs",), ("install", "there"), ("bench", "state")):
-            self.assertEqual(self.installed_by(*words) & STORES, STORES, words)
+            self.assertEqual(self.installed_by(*words, of=STORES | RECORDING), STORES | RECORDING, words)
 
 
 if __name__ == "__main__":

@@ -378,6 +378,42 @@ TEST_P(FleetAccess, WhatTheThiefOfAGatewayStillMayIsWhatSecurityMdSays) {
   EXPECT_EQ(code_of([&] { thief->remove(paths_.instance("turtle"_driver, "g1"_instance)); }), Code::not_empty);
 }
 
+TEST_P(FleetAccess, TheThiefOfAGatewayReadsThePasswordThatAnotherOnesRecordHasInItsUrl) {
+  const auto master = started_master();
+  const auto one = member("g1");
+  ChannelRecord channel;
+  channel.name = "kinect";
+  channel.transport = "rabbitmq";
+  channel.broker_url = "amqp://robot:sesame@127.0.0.1:5672/";
+  channel.gateway = "g1"_gateway;
+  channel.driver = "turtle"_driver;
+  channel.instance = "g1"_instance;
+  const std::string path = paths_.channel(channel.driver, channel.instance, channel.name);
+  put(*one, path, encode(channel));
+  EXPECT_THAT(decode_channel(member("g2")->get(path)->data, path).broker_url, testing::HasSubstr("sesame"));
+}
+
+TEST_P(FleetAccess, TheThiefOfAGatewayHasAnInstanceListedTwiceByARecordWithItsId) {
+  const auto master = started_master();
+  const auto record_of = [](const DriverName& driver, const GatewayId& gateway) {
+    DriverRecord record;
+    record.name = driver;
+    record.instance = "victim"_instance;
+    record.gateway = gateway;
+    return record;
+  };
+  const auto show = [&](Registry& by, const DriverRecord& record) {
+    put(by, paths_.instance(record.name, record.instance), encode(record));
+  };
+  show(*member("g1"), record_of("turtle"_driver, "g1"_gateway));
+  show(*member("g2"), record_of("aaa"_driver, "g2"_gateway));
+  show(*member("g2"), record_of("bbb"_driver, "g1"_gateway));
+  std::vector<std::string> listed;
+  for (const auto& driver : list_drivers(*master, paths_))
+    listed.push_back(driver.name.str() + " " + driver.instance.str() + " " + driver.gateway.str());
+  EXPECT_THAT(listed, testing::UnorderedElementsAre("turtle victim g1", "aaa victim g2", "bbb victim g1"));
+}
+
 TEST_P(FleetAccess, AGatewayThatIsAddedLaterHasItsRightsOnceTheyAreRenewed) {
   use_all_but("g2");
   auto master = started_master();
@@ -418,6 +454,24 @@ TEST_P(FleetAccess, AGatewayThatIsTakenFromTheListHasNoRightsOnceTheyAreRenewed)
     denied([&] { thief->create(path + "/below", ""); });
   }
   put(*one, paths_.instance("turtle"_driver, "g1"_instance), "as before");
+}
+
+/// SECURITY.md: daemons read the list of users when they start.
+TEST_P(FleetAccess, AGatewayThatIsTakenFromTheListReadsWhatDaemonsMakeThatWereNotStartedAgain) {
+  const auto master = started_master();
+  const auto one = member("g1");
+  use_all_but("g2");
+  renew_rights(options_of("masters"), paths_);
+  BareClient thief(options_of("g2").url, "g2");
+  const std::string before = paths_.instance("turtle"_driver, "before"_instance);
+  put(*one, before, "made by one that has the old list");
+  EXPECT_EQ(thief.get(before), ZOK);
+  const auto started_again = member("g1");
+  const std::string after = paths_.instance("turtle"_driver, "after"_instance);
+  put(*started_again, after, "made by one that has the new list");
+  EXPECT_EQ(thief.get(after), ZNOAUTH);
+  renew_rights(options_of("masters"), paths_);
+  EXPECT_EQ(thief.get(before), ZNOAUTH) << "until the rights are renewed once more";
 }
 
 TEST_P(FleetAccess, RightsAreRenewedByAMasterWhomTheNodesKnow) {

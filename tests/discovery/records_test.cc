@@ -117,8 +117,10 @@ TEST(Records, ADriversBytesAreThoseOfTheOriginalWithOurFieldsFrom100Up) {
 TEST(Records, ADriverThatIsStartedAgainByItselfSaysSoInAFieldThatOlderProgramsPassOver) {
   auto record = example_driver();
   record.starts_again = true;
+  record.made_by = "rule meters";
   std::string expected = driver_bytes();
   expected.insert(expected.size() - 1, std::string("\x02\x00\x6c\x01", 4));  // field 108, a bool
+  expected.insert(expected.size() - 1, Bytes().string(109, "rule meters").str());
   EXPECT_EQ(encode(record), expected);
   EXPECT_EQ(decode_driver(expected, "/d"), record);
 }

@@ -1,6 +1,7 @@
 // What ZooKeeper has from its beginning, `/` and `/zookeeper`, belongs to everybody who reaches it: a driver host, too,
 // which needs no credential for that, only the port of the tunnel on its machine.
 #include <algorithm>
+#include <chrono>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -126,6 +127,43 @@ TEST_F(ServersOwnNodes, ThatSomebodyHasSeizedAreNamed) {
   EXPECT_THAT(done.seized, ElementsAre("/", "/zookeeper/quota"));
   EXPECT_THAT(done.open, IsEmpty());
   EXPECT_EQ(thief.create("/zookeeper/more"), ZNOAUTH) << "the rest is closed";
+}
+
+/// SECURITY.md: the nodes of an Apache Storm, say, in the same ZooKeeper.
+TEST_F(ServersOwnNodes, OfAnotherSystemWithoutRightsAreWrittenByTheThiefOfAGatewayAlsoOnceTheServersAreClosed) {
+  const auto master = started_master();
+  BareClient storm(server_.url(), "");
+  ASSERT_EQ(storm.create("/storm"), ZOK);
+  ASSERT_EQ(storm.create("/storm/assignments"), ZOK);
+  ASSERT_TRUE(close().open.empty());
+  BareClient thief(server_.url(), "g2");
+  EXPECT_EQ(thief.get("/storm/assignments"), ZOK);
+  EXPECT_EQ(thief.set("/storm/assignments", "other code"), ZOK);
+  EXPECT_EQ(thief.seize("/storm"), ZOK);
+}
+
+/// SECURITY.md: all who come by the tunnel have one address at ZooKeeper.
+TEST(ServersConnections, ThatADriverHostKeepsOpenShutItsGatewayOut) {
+  constexpr int most = 5;
+  const iotcloud::tests::PrivateServer server("zookeeper.py", {"--setting", "maxClientCnxns=" + std::to_string(most)});
+  RegistryOptions options;
+  options.url = server.url();
+  const auto gateway_gets_in = [&] {
+    try {
+      return make_registry(options)->get("/").has_value();
+    } catch (const RegistryError&) {
+      return false;
+    }
+  };
+  options.operation_timeout = std::chrono::milliseconds{500};
+  ASSERT_TRUE(eventually(gateway_gets_in)) << "the server has just started";
+  {
+    std::vector<std::unique_ptr<BareClient>> held;
+    while (held.size() < most) held.push_back(std::make_unique<BareClient>(server.url(), ""));
+    options.operation_timeout = std::chrono::seconds{5};  // a busy machine is not what keeps it out
+    EXPECT_FALSE(gateway_gets_in()) << "the attack, for which it needs no credential";
+  }
+  EXPECT_TRUE(eventually(gateway_gets_in)) << "once it is over";
 }
 
 TEST_F(ServersOwnNodes, AreNotClosedByOneWhoIsNoMasterThere) {

@@ -1,5 +1,7 @@
 #include <chrono>
 #include <cstring>
+#include <string>
+#include <vector>
 
 #include <dlfcn.h>
 #include <gmock/gmock.h>
@@ -15,16 +17,17 @@ namespace {
 using namespace std::chrono_literals;
 
 struct Shipped {
-  const char* file;
   const char* name;
-  const char* channel;  ///< the channel on which it publishes unasked
+  const char* channel;  ///< the channel on which it publishes unasked; empty: none
   bool own_thread;
+  PropertyMap properties{};  ///< those that it needs
+  std::string file() const { return std::string(PLUGINS) + name + ".so"; }
 };
 
 class ShippedPlugin : public ::testing::TestWithParam<Shipped> {};
 
 TEST_P(ShippedPlugin, is_found_by_its_one_symbol_and_runs_in_a_host) {
-  void* library = dlopen(GetParam().file, RTLD_NOW | RTLD_LOCAL);
+  void* library = dlopen(GetParam().file().c_str(), RTLD_NOW | RTLD_LOCAL);
   ASSERT_NE(library, nullptr) << dlerror();
   using Entry = const Descriptor* (*)();
   const auto entry = reinterpret_cast<Entry>(dlsym(library, descriptor_symbol));
@@ -36,14 +39,16 @@ TEST_P(ShippedPlugin, is_found_by_its_one_symbol_and_runs_in_a_host) {
   EXPECT_STREQ(descriptor.name, GetParam().name);
   EXPECT_EQ(descriptor.own_thread, GetParam().own_thread);
   {
-    testing::MockInstance instance(descriptor);
+    testing::MockInstance instance(descriptor, GetParam().properties);
     ASSERT_TRUE(instance.start()) << instance.error();
     // loadgen uses the real clock: simulated ticks until it has sent a message.
     const auto deadline = std::chrono::steady_clock::now() + tests::patience;
-    while (instance.host().published(GetParam().channel).empty() && std::chrono::steady_clock::now() < deadline) {
+    const std::string channel = GetParam().channel;
+    while (!channel.empty() && instance.host().published(channel).empty() &&
+           std::chrono::steady_clock::now() < deadline) {
       instance.host().advance(100ms);
     }
-    EXPECT_FALSE(instance.host().published(GetParam().channel).empty());
+    EXPECT_EQ(instance.host().published(channel).empty(), channel.empty());
     instance.close();
     EXPECT_EQ(instance.error(), "");
   }
@@ -51,12 +56,12 @@ TEST_P(ShippedPlugin, is_found_by_its_one_symbol_and_runs_in_a_host) {
 }
 
 TEST_P(ShippedPlugin, declares_in_its_bytes_what_its_descriptor_says) {
-  const auto read = config::declaration_in(tests::read_file(GetParam().file));
+  const auto read = config::declaration_in(tests::read_file(GetParam().file()));
   EXPECT_EQ(read.driver, GetParam().name);
   EXPECT_EQ(read.version, "1.0");
   EXPECT_EQ(read.sdk_version, sdk_version);
   EXPECT_NE(read.description, "");
-  void* library = dlopen(GetParam().file, RTLD_NOW | RTLD_LOCAL);
+  void* library = dlopen(GetParam().file().c_str(), RTLD_NOW | RTLD_LOCAL);
   ASSERT_NE(library, nullptr) << dlerror();
   using Entry = const Descriptor* (*)();
   const auto told = config::declaration_of(reinterpret_cast<Entry>(dlsym(library, descriptor_symbol))()->declaration);
@@ -65,9 +70,48 @@ TEST_P(ShippedPlugin, declares_in_its_bytes_what_its_descriptor_says) {
   EXPECT_EQ(dlclose(library), 0);
 }
 
-INSTANTIATE_TEST_SUITE_P(All, ShippedPlugin,
-                         ::testing::Values(Shipped{TURTLE_PLUGIN, "turtle", "kinect", true},
-                                           Shipped{LOADGEN_PLUGIN, "loadgen", "data", false}),
+std::vector<Shipped> all_shipped() {
+  std::vector<Shipped> all{Shipped{"turtle", "kinect", true},
+                           Shipped{"loadgen", "data", false},
+                           Shipped{"serial", "", false, {{"device", "/dev/null"}}},
+                           Shipped{"tcp", "", false, {{"listen", "127.0.0.1:0"}}},
+                           Shipped{"udp", "", false, {{"listen", "127.0.0.1:0"}}},
+                           Shipped{"exec", "", true, {{"command", "cat"}}},
+                           Shipped{"can", "", false, {{"interface", "no-such-can"}}}};
+#ifdef HAS_HTTP
+  all.push_back({"http", "", false, {{"listen", "127.0.0.1:0"}}});
+#endif
+#ifdef HAS_MQTT
+  all.push_back({"mqtt", "", true, {{"url", "mqtt://127.0.0.1:1"}}});
+#endif
+#ifdef HAS_CAMERA
+  all.push_back({"camera", "", true, {{"source", "v4l2:/dev/no-such-camera"}}});
+#endif
+#ifdef HAS_ROS
+  all.push_back({"ros", "", true, {{"subscribe", "/topic"}, {"ros_master", "http://127.0.0.1:1"}}});
+#endif
+#ifdef HAS_MQTT_FINDER
+  all.push_back({"mqtt_finder", "", true, {{"url", "mqtt://127.0.0.1:1"}, {"find", "homeassistant"}}});
+#endif
+#ifdef HAS_SPARKPLUG
+  all.push_back({"sparkplug", "", true, {{"url", "mqtt://127.0.0.1:1"}, {"group", "a"}, {"node", "b"}}});
+#endif
+#ifdef HAS_USB_FINDER
+  all.push_back({"usb_finder", "", false});
+#endif
+#ifdef HAS_MDNS_FINDER
+  all.push_back({"mdns_finder", "", false, {{"services", "_http._tcp"}, {"to", "127.0.0.1:9"}}});
+#endif
+#ifdef HAS_ONVIF_FINDER
+  all.push_back({"onvif_finder", "", false, {{"to", "127.0.0.1:9"}}});
+#endif
+#ifdef HAS_MODBUS
+  all.push_back({"modbus", "", true, {{"connect", "127.0.0.1:1"}, {"registers", "[{name: a, address: 1}]"}}});
+#endif
+  return all;
+}
+
+INSTANTIATE_TEST_SUITE_P(All, ShippedPlugin, ::testing::ValuesIn(all_shipped()),
                          [](const auto& shipped) { return std::string(shipped.param.name); });
 
 }  // namespace

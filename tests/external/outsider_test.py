@@ -1,7 +1,7 @@
 #!/usr/bin/python3
 """An outsider's driver and bolts: installs the SDK, builds a project that sees nothing else, runs its tests, deploys and
 runs it. It is the project that docs/driver-sdk.md, docs/topology-sdk.md and docs/storm.md print (tests/house compares the two). The
-project that docs/glance.md prints is built, too. A driver and a component library with an undefined symbol are not.
+project that docs/glance.md prints is built, too, and so is what `iotcloud new` makes. A driver and a component library with an undefined symbol are not.
 
 usage: outsider_test.py BUILD_DIR   (exit status 0: every reading that was answered was answered rightly)
 """
@@ -28,8 +28,8 @@ def run(*command):
         sys.exit(f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}")
 
 
-def build(source, folder, prefix):
-    run("cmake", "-S", source, "-B", folder, "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Release")
+def build(source, folder, prefix, *options):
+    run("cmake", "-S", source, "-B", folder, "-G", "Ninja", f"-DCMAKE_PREFIX_PATH={prefix}", "-DCMAKE_BUILD_TYPE=Release", *options)
     run("cmake", "--build", folder)
 
 
@@ -72,6 +72,32 @@ def write_glance_project(folder):
     write_glance_cmake(folder)
 
 
+def check_new_folders(work, prefix):
+    """What `iotcloud new` makes builds against the prefix, and its tests pass; a project runs. All four are configured at once, and
+    not optimized, which takes a third of the time."""
+    work.mkdir()
+    names = {"driver": "heat_pump", "bolt": "smooth", "topology": "alarms", "project": "greenhouse"}
+    for kind, name in names.items():
+        run(prefix / "bin/iotcloud", "new", kind, name, "--folder", work / name)
+        if len((work / name / "README.md").read_text().splitlines()) > 12:
+            sys.exit(f"the README of a new {kind} is longer than a dozen lines")
+    (work / "CMakeLists.txt").write_text("cmake_minimum_required(VERSION 3.25)\nproject(all LANGUAGES CXX)\nenable_testing()\n" +
+                                         "".join(f"add_subdirectory({name})\n" for name in names.values()))
+    build(work, work / "build", prefix, "-DCMAKE_CXX_FLAGS_RELEASE=-O0")
+    run("ctest", "--test-dir", work / "build", "--output-on-failure", "--no-tests=error")
+    plugins = work / "build/greenhouse/plugins"
+    run(prefix / "bin/iotcloud", "plugin", "check", plugins / "greenhouse_driver.so")
+    for name in ("alarms", "greenhouse"):
+        run(prefix / "bin/iotcloud-topology", "--check", work / f"build/{name}/plugins/topology.yaml")
+    done = subprocess.run([prefix / "bin/iotcloud", "run", plugins / "topology.yaml", "--plugin", plugins / "greenhouse_driver.so",
+                           "--property", "period_ms=20", "--seconds", "2"], capture_output=True, text=True)
+    if done.returncode or not re.search(r"answer: took [1-9]\d*/s, emitted [1-9]", done.stdout):
+        sys.exit(f"a new project does not run: {done.stdout}{done.stderr}")
+    again = subprocess.run([prefix / "bin/iotcloud", "new", "bolt", "smooth", "--folder", work / "smooth"], capture_output=True, text=True)
+    if again.returncode != 1 or "is there already, and not empty: nothing was written" not in again.stderr:
+        sys.exit(f"a folder that is there is written again: {again}")
+
+
 def wait_for(what, condition, limit=120):
     deadline = time.monotonic() + limit
     while time.monotonic() < deadline:
@@ -94,6 +120,7 @@ def main():
     write_glance_project(work / "glance")
     build(work / "glance", work / "glance-build", prefix)
     check_undefined_symbol(work / "undefined", prefix)
+    check_new_folders(work / "new", prefix)
 
     log = work / "orders.log"
     with PrivateCluster(work / "cluster", prefix / "bin", project / "plugins") as cluster:

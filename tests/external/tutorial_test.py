@@ -31,9 +31,9 @@ FILE = re.compile(r"^`([\w.]+)`:\s*\Z", re.MULTILINE)
 # order takes long.
 NOTICE = re.compile(r"bash: line \d+: +\d+ |\[\d+\][ +-]|iotcloud: waits: ")
 LIMIT_S = 600  # of one command: it may build beside other builds and tests
-# What the pages run in the project's folder. Here the programs are installed by CMake and private servers run; the demo has a test
-# of its own.
-INSTALLING = {"README.md": ["./dev demo", "./dev test", "./dev install ~/iotcloud"],
+# What the pages run in the project's folder. Here the programs are installed by CMake and private servers run; the demo and the
+# packages have tests of their own.
+INSTALLING = {"README.md": ["./dev demo", "./dev test", "./dev install ~/iotcloud", "./dev package"],
               "docs/tutorial.md": ["./dev install ~/iotcloud", "./dev servers up"]}
 
 

@@ -1,10 +1,15 @@
 #include "iotcloud/tests/fuzz/seeds.h"
 
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
 #include <amqp.h>
 #include <amqp_framing.h>
+#include <stdlib.h>
 
 #include "iotcloud/brokers/activemq/wire/statistics.h"
 #include "iotcloud/brokers/activemq/wire/wire_message.h"
@@ -17,8 +22,10 @@
 #include "iotcloud/discovery/records.h"
 #include "iotcloud/discovery/submissions.h"
 #include "iotcloud/drivers/depth/depth_codec.h"
+#include "iotcloud/drivers/stream/framing.h"
 #include "iotcloud/drivers/turtle/robot/protocol.h"
 #include "iotcloud/master/orders/backup_file.h"
+#include "iotcloud/recording/recording.h"
 
 namespace iotcloud::fuzz {
 
@@ -198,6 +205,38 @@ SeedsOfTarget recordings() {
           {"none", part("r-1.0-7.ppm\n")}};
 }
 
+/// Recordings for mcap_fuzzer.cc: with and without an end, of each compression.
+SeedsOfTarget mcap_files() {
+  namespace mcap = recording::mcap;
+  SeedsOfTarget seeds;
+  for (const auto compression : {mcap::Compression::none, mcap::Compression::lz4, mcap::Compression::zstd}) {
+    for (const bool whole : {true, false}) {
+      std::string folder = std::filesystem::temp_directory_path() / "mcap-seeds-XXXXXX";
+      if (mkdtemp(folder.data()) == nullptr) throw std::runtime_error("no folder for a recording");
+      const std::string file = folder + "/a.mcap";
+      {
+        recording::RecordingWriter writer(file, {.compression = compression, .chunk_bytes = 100});
+        const auto out = writer.add_channel({"meter", "1", "meter/1", "lab", "reading", true, false, {{"a", "b"}}});
+        const auto shared = writer.add_channel({"meter", "", "", "lab", "status", true, true});
+        for (int i = 0; i < 4; ++i) {
+          brokers::Message message;
+          message.payload = brokers::Payload::copy("{\"value\": 1}");
+          message.driver_id = std::to_string(i % 2);
+          message.time_ms = i - 1;
+          if (i == 2) message.properties.set("unit", "C");
+          writer.add(i == 3 ? shared : out, message, recording::Instant(i * 1000));
+        }
+        whole ? writer.close() : writer.flush();
+      }
+      std::ifstream in(file, std::ios::binary);
+      seeds[std::string(compression == mcap::Compression::none ? "none" : mcap::word_of(compression)) +
+            (whole ? "" : "_cut")] = std::string(std::istreambuf_iterator<char>(in), {});
+      std::filesystem::remove_all(folder);
+    }
+  }
+  return seeds;
+}
+
 /// A backup with all that one can have.
 std::string whole_backup() {
   discovery::OrderRecord order;
@@ -215,6 +254,41 @@ std::string whole_backup() {
   backup.topologies = {{discovery::TopologyName("t"), topology}};
   backup.missing_plugins = master::sent_plugins(backup.gateways);
   return master::encode(backup);
+}
+
+/// Definitions of types of ROS, and a message of each.
+SeedsOfTarget ros_messages() {
+  const std::string next = std::string(80, '=') + "\nMSG: ";
+  const std::string stamped =
+      "Header header\nVector3[] all # of them\nint8 X=1\nstring[2] names\nuint8[] data\nbool is\nfloat32 y\n" + next +
+      "std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n" + next + "a/Vector3\nfloat64 x\nduration d\n";
+  const std::string zero(1, '\0'), zeros(3, '\0');
+  const std::string message = std::string(12, '\x01') + "\x01" + zeros + "f" + "\x01" + zeros +
+                              std::string(16, '\x3f') + "\x02" + zeros + "ab" + zeros + zero + "\x03" + zeros + "xyz" +
+                              "\x01" + std::string(4, '\x3f');
+  return {{"stamped", stamped + zero + message},
+          {"json", stamped + zero +
+                       R"({"header":{"seq":7},"all":[{"x":0.5,"d":{"secs":1,"nsecs":2}}],"data":"AQID","is":true})"},
+          {"itself", "B b\n" + zero}};
+}
+
+/// Streams of a device, after the byte that says how it frames them and the one that cuts them into pieces.
+SeedsOfTarget framings() {
+  SeedsOfTarget seeds;
+  for (const auto& [name, kind] : {std::pair{"delimiter", drivers::stream::Framing::delimiter},
+                                   {"length", drivers::stream::Framing::length},
+                                   {"cobs", drivers::stream::Framing::cobs},
+                                   {"slip", drivers::stream::Framing::slip}}) {
+    drivers::stream::FramingOptions options;
+    options.kind = kind;
+    options.length_bytes = 1;
+    std::string stream{static_cast<char>(kind), '\4'};
+    for (const std::string& frame :
+         {std::string("12.5 kg"), std::string("a\0\xc0\xdb", 4), std::string(45, 'x'), std::string("")})
+      stream += drivers::stream::framed(options, std::as_bytes(std::span(frame)));
+    seeds[name] = stream;
+  }
+  return seeds;
 }
 
 }  // namespace
@@ -269,9 +343,12 @@ Seeds all_seeds() {
                                 robot::write_number(robot::Kind::got, 3) + robot::write_refused("no");
   seeds["robot_protocol"]["agent"] = '\x06' + of_agent;
   seeds["robot_protocol"]["driver"] = '\x13' + of_driver;
+  seeds["framing"] = framings();
+  seeds["ros_message"] = ros_messages();
   seeds["registry_records"] = registry_records();
   seeds["declaration"] = declarations();
   seeds["recording"] = recordings();
+  seeds["mcap"] = mcap_files();
   seeds["backup"] = {{"whole", whole_backup()}, {"empty", R"({"format":1})"}, {"later", R"({"format":2})"}};
   add_control_plane_seeds(seeds);
   add_wire_seeds(seeds);

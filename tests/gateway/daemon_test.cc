@@ -23,6 +23,7 @@
 #include <unistd.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
+#include <iotcloud/config/durable_write.h>
 #include <iotcloud/discovery/freeze.h>
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry.h>
@@ -379,6 +380,27 @@ TEST_F(DaemonTest, TrustedKeysThatComeAndGoCountByThemselves) {
   ASSERT_TRUE(comes_to(DriverState::failed, "d"));
   EXPECT_THAT(record("d")->reason, testing::HasSubstr("a key that is trusted here"));
   EXPECT_EQ(record()->state, DriverState::active) << "what runs goes on";
+}
+
+TEST_F(DaemonTest, ABrokersFileThatIsReplacedComesToConfinedHostsByItself) {
+  const fs::path password = tests::write_file(folder_ / "password", "sesame"), copies = folder_ / "state/broker-files";
+  configure(TEST_PLUGINS, "host_files: {read: [], write: []}\n");
+  const std::string file = folder_ / "gateway.yaml";
+  std::string text = tests::read_file(file);
+  const std::string urls = "rabbitmq: {";
+  text.replace(text.find(urls), urls.size(), urls + "user: u, password_file: " + password.string() + ", ");
+  tests::write_file(file, text);
+  const auto hosts_read = [&](const std::string& bytes) {
+    return eventually([&] {
+      std::error_code none;
+      fs::directory_iterator copy(copies, none);
+      return copy != fs::directory_iterator() && tests::read_file(copy->path()) == bytes;
+    });
+  };
+  start_daemon();
+  ASSERT_TRUE(hosts_read("sesame"));
+  config::replace_file(password, "open sesame", 0600);
+  EXPECT_TRUE(hosts_read("open sesame"));
 }
 
 TEST_F(DaemonTest, WhatCannotBeReadAgainOnSighupKeepsNothingElseFromBeingRead) {

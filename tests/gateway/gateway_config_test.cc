@@ -119,7 +119,7 @@ TEST_F(GatewayConfigTest, WhatHostsGiveUpIsRead) {
   EXPECT_EQ(loose.hosts.confinement.open_files, 100u);
 }
 
-TEST_F(GatewayConfigTest, HostsMayReadTheFilesOfTheirBrokers) {
+TEST_F(GatewayConfigTest, ConfinedHostsGetCopiesOfTheFilesOfTheirBrokers) {
   const std::string of_writer = folder_ / "writer", of_reader = folder_ / "reader";
   for (const auto& file : {of_writer, of_reader}) std::ofstream(file) << "sesame\n";
   const auto config =
@@ -127,7 +127,8 @@ TEST_F(GatewayConfigTest, HostsMayReadTheFilesOfTheirBrokers) {
                                ", properties: {reader: r, reader_password_file: " + of_reader +
                                "}}}\nhost_files: {write: [/tmp]}"));
   ASSERT_TRUE(config.hosts.confinement.files);
-  EXPECT_THAT(config.hosts.confinement.files->read, testing::IsSupersetOf({of_writer, of_reader}));
+  EXPECT_THAT(config.hosts.broker_files, testing::UnorderedElementsAre(of_writer, of_reader));
+  EXPECT_TRUE(config.hosts.confinement.files->read.empty());
 }
 
 TEST_F(GatewayConfigTest, ThePortsOfHostsAreForAllAndForSinglePlugins) {

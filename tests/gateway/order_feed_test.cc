@@ -225,7 +225,7 @@ TEST_F(OrderFeedTest, AnOrderThatGoesWithItsNameIsTakenBackBeforeItsNodeSaysSo) 
 
 /// The key of a master in a folder of its own, and those who trust it.
 struct MasterKey {
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   const security::test::Signer signer{folder / "", "master"};
   std::shared_ptr<const security::TrustedKeys> trust() const {
     security::TrustedKeys::Options options;

@@ -69,7 +69,7 @@ class SignedOrders : public GatewayFixture {
   }
 
   const std::int64_t start_ms_ = config::system_clock().wall_ms();
-  const security::test::Folder folder_;
+  const tests::TemporaryFolder folder_;
   const std::string followed_file_ = folder_ / "state/followed-orders.jsonl";
   const Signer master_{folder_ / "", "master"};
   const Signer thief_{folder_ / "", "thief"};

@@ -106,7 +106,7 @@ TEST_F(SiteServiceTest, AGatewayThatHasNotItsPlaceYetTakesNoOrders) {
 }
 
 TEST_F(SiteServiceTest, TheGatewayWritesDownWhoGaveItOrders) {
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   security::AuditSettings audit;
   audit.file = folder / "audit.log";
   restart_with_audit(audit);
@@ -174,7 +174,7 @@ std::set<std::string> audited_methods() {
 }
 
 TEST_F(SiteServiceTest, EachOrderHasALineWhenItBeginsAndOneWhenItEnds) {
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   security::AuditSettings audit;
   audit.file = folder / "audit.log";
   restart_with_audit(audit);
@@ -199,7 +199,7 @@ TEST_F(SiteServiceTest, WithAFullDiskEveryOrderIsRefusedIfTheSettingsSaySoAndEls
   const auto before = record(id);
   ASSERT_EQ(before->state, DriverState::active);
   for (const bool refuse : {true, false}) {
-    const security::test::Folder folder;
+    const tests::TemporaryFolder folder;
     security::AuditSettings audit;
     audit.file = folder / "audit.log";
     std::filesystem::create_symlink("/dev/full", audit.file);
@@ -381,7 +381,7 @@ TEST_F(SiteServiceTest, EveryMethodStatesItsRole) {
 
 TEST_F(SiteServiceTest, WithTlsAndTokensAViewerReadsAndDeploysNothing) {
   const security::test::Certificates certificates;
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   SiteService::Options options;
   options.listen = {"0.0.0.0", 0, certificates.of("lab1"), folder / "tokens", ""};
   const auto token = security::add_token(options.listen.tokens, "vera", security::Role::viewer);
@@ -455,7 +455,7 @@ TEST_F(SiteServiceTest, OverLoopbackWithoutATokenAnotherUserReadsAndOrdersNothin
 
 TEST_F(SiteServiceTest, AMastersTokenReadsAndSendsPluginsAndOrdersNothing) {
   const security::test::Certificates certificates;
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   SiteService::Options options;
   options.listen = {"0.0.0.0", 0, certificates.of("lab1"), folder / "tokens", ""};
   const auto token = security::add_token(options.listen.tokens, "master", security::Role::master, "CN=lab1");

@@ -17,6 +17,7 @@ from pathlib import Path
 # Where the time of day itself is meant, and why.
 TIME_OF_DAY = {
     "config/clock.cc": "config::Clock::wall_ms() for all others",
+    "drivers/mqtt/sparkplug/sparkplug.cc": "time stamps of messages; a driver links no clock of ours",
     "drivers/turtle/turtle_driver.cc": "time stamps of messages; a driver links no clock of ours",
     "tests/c11_threads_for_tsan.cc": "C's own functions, as the standard has them",
     "tests/chaos/machine.cc": "makes it go wrong",

@@ -17,17 +17,20 @@ ROOMS = {
     "rpc": ["config", "security"],
     "brokers": ["config"],
     "discovery": ["config"],
-    "drivers": ["brokers"],  # message.h only, see below
+    "recording": ["brokers"],
+    "drivers": ["brokers", "recording"],  # of brokers message.h only, see below
     "processes": ["config", "security"],
     "gateway": ["config", "security", "rpc", "brokers", "discovery", "drivers", "processes"],
     # of gateway and topology: what Thrift generates, see below
     "master": ["config", "security", "rpc", "discovery", "gateway", "topology"],
     "topology": ["config", "security", "rpc", "brokers", "discovery", "processes"],
+    "check": ["config", "security", "brokers", "discovery", "drivers", "topology"],
 }
 # A part of a room with rules of its own. `None`: everything.
 PARTS = {
     "drivers/testing": ["config", "brokers"],
     "topology/local": None,
+    "topology/recorder": None,
     "topology/testing": None,
     "topology/runtime": ["config", "brokers"],
 }
@@ -49,7 +52,7 @@ THRIFT_FOR_MASTERS = re.compile(r"(gateway|topology/pool)/(\w+_types|T\w+Service
 HEAVY = {
     "CLI/": re.compile(r"_main\.cc$|^master/cli/|^config/daemon/daemon\.cc$|^tests/master/cli/cli_test\.cc$"),
     "boost/asio": None,
-    "boost/beast": re.compile(r"^rpc/http/http_(client|server)\.cc$"),
+    "boost/beast": re.compile(r"^rpc/http/http_(client|server)\.cc$|^drivers/http/http_end\.cc$"),
     "nlohmann/json.hpp": None,
     "spdlog/": re.compile(r"^config/log\.cc$"),
     "thrift/": None,

@@ -133,7 +133,7 @@ class Access : public testing::Test {
     return lines;
   }
 
-  const security::test::Folder folder_;
+  const tests::TemporaryFolder folder_;
   const std::string tokens_file_ = folder_ / "tokens";
   const std::string audit_file_ = folder_ / "audit.log";
   std::string viewer_, operating_, admin_;

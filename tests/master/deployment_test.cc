@@ -3,7 +3,7 @@
 
 #include <gmock/gmock.h>
 
-#include <iotcloud/master/orders/instance_id.h>
+#include <iotcloud/discovery/instance_name.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/master/fleet.h>
 
@@ -43,17 +43,19 @@ class MasterDeployments : public testing::Test {
 };
 
 TEST_F(MasterDeployments, NameNumberAndGatewayMakeTheId) {
-  EXPECT_EQ(named_instance_id("lab1"_gateway, "meter", 1), named_instance_id("lab1"_gateway, "meter", 1));
-  const std::set<discovery::InstanceId> ids{
-      named_instance_id("lab1"_gateway, "meter", 1), named_instance_id("lab2"_gateway, "meter", 1),
-      named_instance_id("lab1"_gateway, "metre", 1), named_instance_id("lab1"_gateway, "meter", 2)};
+  EXPECT_EQ(discovery::named_instance_id("lab1"_gateway, "meter", 1),
+            discovery::named_instance_id("lab1"_gateway, "meter", 1));
+  const std::set<discovery::InstanceId> ids{discovery::named_instance_id("lab1"_gateway, "meter", 1),
+                                            discovery::named_instance_id("lab2"_gateway, "meter", 1),
+                                            discovery::named_instance_id("lab1"_gateway, "metre", 1),
+                                            discovery::named_instance_id("lab1"_gateway, "meter", 2)};
   EXPECT_THAT(ids, SizeIs(4));
   for (const auto& id : ids) EXPECT_THAT(id.str(), SizeIs(32));
 
   FakeGateway gateway(url, "lab1");
   const auto result = master->deploy(meter({"lab1"}, 2));
   ASSERT_TRUE(result.all_done()) << result.summary();
-  EXPECT_EQ(result.outcomes.at(1).instance, named_instance_id("lab1"_gateway, "meter", 2));
+  EXPECT_EQ(result.outcomes.at(1).instance, discovery::named_instance_id("lab1"_gateway, "meter", 2));
   for (const auto& driver : master->drivers()) EXPECT_EQ(driver.deployment, "meter");
   EXPECT_EQ(master->orders().at(0).gateway, "lab1");
 }
@@ -99,7 +101,7 @@ TEST_F(MasterDeployments, NumbersMayBeNamedAndAnInstanceMayWaitToBeStarted) {
   request.manager = "lab";
   const auto result = master->deploy(request);
   ASSERT_TRUE(result.all_done()) << result.summary();
-  EXPECT_EQ(result.outcomes.at(0).instance, named_instance_id("lab1"_gateway, "meter", 3));
+  EXPECT_EQ(result.outcomes.at(0).instance, discovery::named_instance_id("lab1"_gateway, "meter", 3));
   for (const auto& driver : master->drivers()) EXPECT_EQ(driver.state, DriverState::inactive);
   EXPECT_EQ(master->orders().at(0).order.manager, "lab");
 }

@@ -1,10 +1,14 @@
 // What a master sends to pools of workers, and to nobody who only has a record of one: every worker may write such
 // records.
+#include <chrono>
 #include <fstream>
 #include <map>
 #include <mutex>
 #include <optional>
+#include <utility>
+#include <vector>
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -44,11 +48,14 @@ class PlayedPool final : public topology::wire::TPoolServiceNull {
   }
   void ping(topology::wire::TPoolPing& answer) override { answer.__set_pool(id_); }
   void describeLibrary(topology::wire::TKeptLibrary& answer, const std::string&) override {
+    const std::lock_guard lock(mutex_);
+    asked_.push_back({std::chrono::steady_clock::now(), {}});
     answer.__set_size(static_cast<std::int64_t>(library_.size()));
   }
   void readLibrary(std::string& answer, const std::string&, std::int64_t offset) override {
     const std::lock_guard lock(mutex_);
     ++given_;
+    if (!asked_.empty()) asked_.back().second = std::chrono::steady_clock::now();
     answer = library_.substr(static_cast<std::size_t>(offset), piece_);
   }
   void offerLibrary(std::string& upload, const topology::wire::TLibraryOffer&) override {
@@ -74,6 +81,12 @@ class PlayedPool final : public topology::wire::TPoolServiceNull {
     const std::lock_guard lock(mutex_);
     return taken_;
   }
+  using Instant = std::chrono::steady_clock::time_point;
+  /// Of each time that it was asked for the library: when that began, and when it gave the last piece.
+  std::vector<std::pair<Instant, Instant>> asked() const {
+    const std::lock_guard lock(mutex_);
+    return asked_;
+  }
   int pieces_given() const {
     const std::lock_guard lock(mutex_);
     return given_;
@@ -84,10 +97,11 @@ class PlayedPool final : public topology::wire::TPoolServiceNull {
   const std::string library_;
   const std::size_t piece_;
   mutable std::mutex mutex_;
-  std::string token_;  ///< guarded by mutex_
-  std::string sent_;   ///< guarded by mutex_
-  std::string taken_;  ///< guarded by mutex_
-  int given_ = 0;      ///< guarded by mutex_
+  std::string token_;                               ///< guarded by mutex_
+  std::string sent_;                                ///< guarded by mutex_
+  std::string taken_;                               ///< guarded by mutex_
+  int given_ = 0;                                   ///< guarded by mutex_
+  std::vector<std::pair<Instant, Instant>> asked_;  ///< guarded by mutex_
 };
 
 class LibraryRelayTest : public testing::Test {
@@ -127,7 +141,7 @@ class LibraryRelayTest : public testing::Test {
   }
 
   const security::test::Certificates certificates_;
-  const security::test::Folder folder_;
+  const tests::TemporaryFolder folder_;
   std::vector<std::unique_ptr<rpc::ThriftServer>> services_;
 };
 
@@ -217,8 +231,62 @@ TEST_F(RelayedLibrary, ComesFromAnotherPoolWhenOneGivesItByteByByte) {
   EXPECT_TRUE(eventually([&] { return taker->taken() == library; }));
 }
 
+/// SECURITY.md: what the thief of a pool takes from others.
+TEST_F(RelayedLibrary, OfAnotherTopologyWaitsForAPoolThatTakesItsTimeUntilThatIsOver) {
+  const std::string other_sha256(64, 'b');
+  discovery::Submission other;
+  other.name = "u"_topology;
+  other.version = {1, "yaml", {{"other", "other.so", other_sha256}}, ""};
+  discovery::put(master_.registry(), paths_.submission(other.name), encode(other));
+  const auto slow = std::make_shared<PlayedPool>("p1", std::string(100'000, 'x'), 1);
+  const auto taker = std::make_shared<PlayedPool>("p3");
+  auto giver = serve("p4", std::make_shared<PlayedPool>("p4", "other"));
+  giver.files = {other_sha256};
+  hold(with_library(serve("p1", slow)));
+  hold(serve("p2", std::make_shared<PlayedPool>("p2")));
+  hold(serve("p3", taker));
+  hold(giver);
+  start({}, std::chrono::hours{1});
+  ASSERT_TRUE(eventually([&] { return slow->pieces_given() > 500; }));
+  EXPECT_EQ(taker->taken(), "") << "the attack";
+  start({}, milliseconds{1});
+  EXPECT_TRUE(eventually([&] { return taker->taken() == "other"; }));
+}
+
+/// SECURITY.md: no more than half of the time.
+TEST_F(RelayedLibrary, ThatDidNotComeInTimeLeavesAsMuchTimeToOthersAsItTook) {
+  const auto slow = std::make_shared<PlayedPool>("p1", std::string(100'000, 'x'), 1);
+  hold(with_library(serve("p1", slow)));
+  hold(serve("p2", std::make_shared<PlayedPool>("p2")));
+  constexpr milliseconds transfer{200};  // of which it is busy with all but the beginning
+  start({}, transfer);
+  ASSERT_TRUE(eventually([&] { return slow->asked().size() >= 3; }));
+  const auto asked = slow->asked();
+  for (std::size_t again = 1; again < 3; ++again) {
+    const auto [began, gave_last] = asked[again - 1];
+    EXPECT_GT(gave_last, began);
+    EXPECT_GE(asked[again].first - gave_last, gave_last - began);
+  }
+}
+
+/// SECURITY.md: the thief of a worker may make such records.
+TEST_F(RelayedLibrary, ComesAfterATryForEachOfAFloodOfRecordsOfPools) {
+  const auto taker = std::make_shared<PlayedPool>("p2");
+  hold(with_library(serve("p1", std::make_shared<PlayedPool>("p1", "x"))));
+  const auto another = std::make_shared<PlayedPool>("p0");
+  PoolRecord forged = serve("p0", another);
+  for (int number = 0; number < 100; ++number) {
+    forged.id = PoolId(fmt::format("p0-{}", number));
+    hold(forged);
+  }
+  hold(serve("p2", taker));
+  start({}, test::patience);
+  EXPECT_TRUE(eventually([&] { return taker->taken() == "x"; }));
+  EXPECT_EQ(another->taken(), "") << "it answers as another pool than each record says";
+}
+
 TEST_F(RelayedLibrary, DoesNotHoldUpTheEndOfItsMaster) {
-  const auto slow = std::make_shared<PlayedPool>("p1", std::string(50'000'000, 'x'), 1);
+  const auto slow = std::make_shared<PlayedPool>("p1", std::string(8'000'000, 'x'), 1);
   hold(with_library(serve("p1", slow)));
   hold(serve("p2", std::make_shared<PlayedPool>("p2")));
   start({}, std::chrono::hours{1});

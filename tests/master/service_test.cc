@@ -68,6 +68,24 @@ TEST(MasterConfig, ThePortForGatewaysOfTheOriginalIsOnOnlyIfItsKeyIsThere) {
   EXPECT_EQ(config.gateways->port, 12903);
 }
 
+TEST(MasterConfig, TheConsoleIsOffWithoutItsKeyAndForOtherMachinesOnlyWithTlsAndTokens) {
+  const ConfigFile without("registry: \"embedded://a\"\n");
+  EXPECT_EQ(load_master_config(without.path()).console.pages.address, "");
+  const ConfigFile with("registry: \"embedded://a\"\nconsole: {address: \"127.0.0.1:9114\", idle: 5m}\n");
+  EXPECT_EQ(load_master_config(with.path()).console.idle, std::chrono::minutes(5));
+  const auto console = [](const std::string& keys) {
+    return error_of("registry: \"embedded://a\"\nconsole: {" + keys + "}\n");
+  };
+  EXPECT_THAT(console("address: \"0.0.0.0:9114\""),
+              AllOf(HasSubstr("TLS and tokens"), HasSubstr("iotcloud token add")));
+  EXPECT_THAT(console("adress: x"), AllOf(HasSubstr("console.adress"), HasSubstr("did you mean")));
+  EXPECT_THAT(console("address: \"127.0.0.1:1\", others: [\"https://lab2:1; script-src *\"]"),
+              HasSubstr("is not the address of a console"));
+  EXPECT_THAT(console("address: \"127.0.0.1:1\", pages: {folder: /none}"), HasSubstr("is no folder"));
+  EXPECT_THAT(console("address: \"127.0.0.1:1\", pages: {folder: /tmp, require_signature: true}"),
+              AllOf(HasSubstr("console.pages.require_signature"), HasSubstr("trust")));
+}
+
 TEST(MasterConfig, OnlyTheRegistryIsNeeded) {
   const ConfigFile file("registry: \"embedded://a\"\n");
   const auto config = load_master_config(file.path());

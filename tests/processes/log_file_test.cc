@@ -6,11 +6,11 @@
 
 #include <fcntl.h>
 #include <gmock/gmock.h>
-#include <stdlib.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <iotcloud/processes/log_file.h>
+#include <iotcloud/tests/temporary_folder.h>
 
 namespace iotcloud::processes {
 namespace {
@@ -21,12 +21,6 @@ namespace fs = std::filesystem;
 
 class LogFileTest : public ::testing::Test {
  protected:
-  LogFileTest() {
-    std::string pattern = fs::temp_directory_path() / "iotcloud-log-XXXXXX";
-    folder_ = mkdtemp(pattern.data());
-  }
-  ~LogFileTest() override { fs::remove_all(folder_); }
-
   LogFile::Options options(std::uint64_t most_bytes, int kept) const { return {folder_ / "p.log", most_bytes, kept}; }
 
   /// A process whose stdout goes to the log, and which writes so many lines that begin with `name`.
@@ -63,13 +57,13 @@ class LogFileTest : public ::testing::Test {
     return all;
   }
 
-  fs::path folder_;
+  const tests::TemporaryFolder folder_;
 };
 
 TEST_F(LogFileTest, StaysWithinItsBoundsAndTheLatestIsKept) {
   wait_for(write_lines("a", 1000, options(500, 2)));
   std::vector<std::string> names;
-  for (const auto& file : fs::directory_iterator(folder_)) {
+  for (const auto& file : fs::directory_iterator(folder_.path())) {
     names.push_back(file.path().filename());
     EXPECT_THAT(file.file_size(), Le(520u)) << file.path();
   }

@@ -264,7 +264,7 @@ class GuardedPages : public testing::Test {
   }
 
   const security::test::Certificates certificates_;
-  const security::test::Folder folder_;
+  const tests::TemporaryFolder folder_;
   const std::string token_;
   const PageSettings settings_;
   const std::map<std::string, HttpHandler> pages_{{"/p", [](const HttpRequest&) {
@@ -464,9 +464,10 @@ TEST_F(GuardedPages, AreReadOverAnOpenConnectionWhileAnotherReaderHoldsAllOthers
   for (int i = 0; i < 64; ++i) {
     thief.push_back(std::make_unique<KeptConnection>(server, certificates_.of("thief"), token_));
     EXPECT_TRUE(thief.back()->reads_the_page());
+    // The server ends a connection that is idle for as long as 64 take on a busy machine.
+    EXPECT_TRUE(honest.reads_the_page());
   }
   EXPECT_FALSE(thief.front()->reads_the_page()) << "it made room";
-  EXPECT_TRUE(honest.reads_the_page());
 }
 
 TEST_F(GuardedPages, AReaderWhoAsksWithoutEndIsToldToAskForLessAndOthersRead) {

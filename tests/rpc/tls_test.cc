@@ -286,7 +286,7 @@ TEST_F(Tls, AClientWithTlsIsCutOffByAServerWithoutAndSaysSo) {
 }
 
 TEST_F(Tls, AnAuthorityIsReplacedWithoutACutUntilItIsTakenOutWhichCutsWhatItHasCertified) {
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   options_.tls = {folder / "ca.pem", folder / "lab1.pem", folder / "lab1.key"};
   const auto install = [&](const std::string& authorities, const security::TlsFiles& own) {
     tests::write_file(options_.tls.ca, authorities);
@@ -334,7 +334,7 @@ TEST_F(Tls, AnAuthorityIsReplacedWithoutACutUntilItIsTakenOutWhichCutsWhatItHasC
 TEST_F(Tls, WhileAnAuthorityIsReplacedTheRevocationsOfBothCount) {
   const security::test::Certificates before;
   const security::test::Certificates after;
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   const auto join = [&] {
     std::string authorities;
     std::string lists;

@@ -53,7 +53,7 @@ class AuditChain : public ::testing::Test {
     for (const auto& line : lines) all += line + "\n";
     write_file(file(), all);
   }
-  AuditVerdict verdict(AuditExpectation expected = {}) const { return verify_audit({file()}, expected); }
+  AuditVerdict verdict(const AuditExpectation& expected = {}) const { return verify_audit({file()}, expected); }
   std::vector<std::string> findings(AuditExpectation expected = {}) const {
     std::vector<std::string> texts;
     for (const auto& finding : verdict(std::move(expected)).findings) texts.push_back(finding.text);
@@ -176,6 +176,22 @@ TEST_F(AuditChain, AMissingHeadIsNamedAndAHeadThatSomebodyKeptIsCompared) {
   AuditExpectation rotated;
   rotated.has_head = false;
   EXPECT_THAT(findings(rotated), IsEmpty());
+}
+
+/// SECURITY.md: what whoever may write the file has of it.
+TEST_F(AuditChain, AThiefWritesLinesOfItsOwnFromNowOnThatNobodyCanTell) {
+  open();
+  write(3);
+  AuditExpectation expected;
+  expected.known = verdict().head;
+  log_.reset();
+  AuditLog thief(file(), no_sync);
+  AuditEntry untrue;
+  untrue.who = "anna";
+  untrue.what = "what she never did";
+  ASSERT_TRUE(thief.write(untrue));
+  EXPECT_THAT(lines().back(), HasSubstr("what she never did"));
+  EXPECT_THAT(findings(expected), IsEmpty()) << "also for whoever kept the head";
 }
 
 TEST_F(AuditChain, LinesOfAnEarlierVersionAreVouchedForByTheFirstLineOfTheChain) {

@@ -75,7 +75,7 @@ TEST(AuthorityTest, ADaemonsCertificateHasItsOwnNameAndItsMachinesNames) {
 }
 
 TEST(AuthorityTest, WithoutAnAuthorityTheErrorSaysHowToMakeOne) {
-  const test::Folder folder;
+  const tests::TemporaryFolder folder;
   try {
     Authority{folder / "none"}.certify_host("lab1");
     FAIL() << "there is no authority";

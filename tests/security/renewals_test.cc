@@ -40,7 +40,7 @@ class Renewals : public testing::Test {
   }
 
   const test::Certificates made_;
-  const test::Folder folder_;
+  const tests::TemporaryFolder folder_;
   int copies_ = 0;
 };
 

@@ -22,7 +22,7 @@ std::string content_of(const std::string& file) {
 
 TEST(ServerTls, ARevokedCertificateDoesNotComeBackByAThreadThatHasReadTheListBefore) {
   const test::Certificates made;
-  const test::Folder folder;
+  const tests::TemporaryFolder folder;
   made.authority().certify_caller("thief");
   make_revocations(made.authority());
   const std::string before = content_of(revocations_file(made.authority()));

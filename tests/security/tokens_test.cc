@@ -36,7 +36,7 @@ class Tokens : public testing::Test {
     return "";
   }
 
-  const test::Folder folder_;
+  const tests::TemporaryFolder folder_;
   const std::string file_ = folder_ / "tokens";
 };
 

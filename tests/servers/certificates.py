@@ -36,12 +36,14 @@ class Certificates:
         if done.returncode:
             raise RuntimeError("%s failed: %s" % (command[0], done.stdout))
 
-    def request(self, name, *options):
+    def request(self, name, *options, subject=""):
         self.run("openssl", "req", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes",
-                 "-keyout", name + ".key", "-subj", "/CN=" + name, *options)
+                 "-keyout", name + ".key", "-subj", "/CN=" + (subject or name), *options)
 
     def make_authority(self):
-        self.request("ca", "-x509", "-days", "2", "-out", "ca.pem", "-addext", "keyUsage=critical,keyCertSign,cRLSign")
+        # In one file of revocations each authority needs a name of its own.
+        self.request("ca", "-x509", "-days", "2", "-out", "ca.pem", "-addext", "keyUsage=critical,keyCertSign,cRLSign",
+                     subject="ca of " + os.path.basename(self.folder))
 
     def make(self, name, names, usage):
         self.request(name, "-out", name + ".csr")

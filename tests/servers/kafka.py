@@ -166,13 +166,16 @@ class Kafka(private_server.Server):
 
     def security(self):
         user = {"user": certificates.USER, "password": certificates.PASSWORD}
-        return ["ssl.keystore.type=PEM", "ssl.keystore.location=" + self.certificates.server_chain(),
-                "ssl.truststore.type=PEM", "ssl.truststore.location=" + self.certificates.path("ca.pem"),
-                # With SASL Kafka ignores this setting without the listener's name.
-                "listener.name.client.ssl.client.auth=required", "sasl.enabled.mechanisms=PLAIN",
-                "sasl.mechanism.inter.broker.protocol=PLAIN",
-                "listener.name.client.plain.sasl.jaas.config=org.apache.kafka.common.security.plain.PlainLoginModule "
-                'required username="{user}" password="{password}" user_{user}="{password}";'.format(**user)]
+        settings = ["ssl.keystore.type=PEM", "ssl.keystore.location=" + self.certificates.server_chain(),
+                    "ssl.truststore.type=PEM", "ssl.truststore.location=" + self.certificates.path("ca.pem"),
+                    "sasl.enabled.mechanisms=PLAIN", "sasl.mechanism.inter.broker.protocol=PLAIN"]
+        for name in ["client", *("link%d" % number for number in range(len(self.listeners)))]:
+            # With SASL Kafka ignores these settings without the listener's name.
+            settings += ["listener.name.%s.ssl.client.auth=required" % name,
+                         "listener.name.%s.plain.sasl.jaas.config=" % name +
+                         "org.apache.kafka.common.security.plain.PlainLoginModule "
+                         'required username="{user}" password="{password}" user_{user}="{password}";'.format(**user)]
+        return settings
 
     def host(self):
         return "localhost" if self.certificates else "127.0.0.1"

@@ -215,10 +215,10 @@ class PrivateCluster(Children):
         self.apis, self.for_gateways, self.thrift_ports, self.commands = {}, {}, {}, {}
         self.workers = 0  # number of topology workers started so far
 
-    def start(self, gateways=2, brokers=None, more="", masters=1, of_masters=""):
+    def start(self, gateways=2, brokers=None, more="", masters=1, of_masters="", of_api=""):
         """`brokers`: lines of YAML below that key of the gateways' configuration; None: a private RabbitMQ. `more`: lines
         of that configuration beside. `masters`: one is named master, several master-1, master-2, ...; `of_masters`: lines
-        of their configuration beside."""
+        of their configuration beside; `of_api`: more keys of its `api`, each behind a comma."""
         self.zookeeper = self.server("zookeeper")
         if brokers is None:
             self.rabbitmq = self.server("rabbitmq")
@@ -230,7 +230,7 @@ class PrivateCluster(Children):
             self.daemon("iotcloud-master", name, f"""
 id: private-{name}
 registry: "{self.zookeeper}"
-api: {{host: 127.0.0.1, port: {self.apis[name]}}}
+api: {{host: 127.0.0.1, port: {self.apis[name]}{of_api}}}
 gateways: {{host: 127.0.0.1, port: {self.for_gateways[name]}}}
 {of_masters}
 """)

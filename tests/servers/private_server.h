@@ -78,10 +78,12 @@ class PrivateServer {
   void resume(int node) { command("resume " + std::to_string(node), "RESUMED"); }
   /// Sends a command that only this kind of server knows; throws if the answer differs from `expected`.
   void command(const std::string& text, const std::string& expected) {
-    if (const std::string answer = ask(text); answer != expected) {
+    if (const std::string answer = asked(text); answer != expected) {
       throw std::runtime_error(script_ + ": " + text + ": " + answer);
     }
   }
+  /// Sends such a command, and returns the answer.
+  std::string asked(const std::string& text) { return ask(text); }
 
  private:
   void launch(const std::vector<std::string>& arguments) {

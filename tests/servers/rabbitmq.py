@@ -27,6 +27,8 @@ Then it obeys one command for each line of stdin and answers with one line on st
             all connections                        REREAD
     clients the user, and holder and days of the
             certificate, of each connection        CLIENTS user CN=holder from - to; ...
+    disk MB      from now on it finds itself on a disk of so many megabytes, which its data
+            alone fill; below 50 MB it takes no messages   DISK
     forget USER  deletes a user                    FORGOTTEN
     renew FILE   gives the user `workers` the password of these definitions of users, as
             `./dev cluster passwords renew` does   RENEWED
@@ -52,6 +54,12 @@ import private_server
 
 PROGRAMS = "/usr/lib/rabbitmq/bin"  # those in /usr/sbin switch to another user, which cannot use private folders
 CLUSTER = os.path.abspath(os.path.join(os.path.dirname(__file__), "..", "..", "deploy", "cluster"))
+# In the place of `df`, which the node asks how much of its disk is free.
+DISK = """#!/bin/sh
+used=$(du -sk '{data}' 2>/dev/null | cut -f1)
+echo Filesystem 1024-blocks Used Available Capacity Mounted on
+echo disk {size} "$used" $(( {size} > used ? {size} - used : 0 )) 0% /
+"""
 PATIENCE_S = 300  # for an answer of rabbitmqctl, whose own virtual machine starts first
 
 
@@ -158,6 +166,7 @@ class RabbitMq(private_server.Server):
                if not key.startswith(("RABBITMQ_", "ERL_", "ELIXIR_")) and key != "NOTIFY_SOCKET"}
         env.update({
             "HOME": self.home,  # the Erlang cookie
+            "PATH": self.path("bin") + os.pathsep + env["PATH"],  # disk()
             "LC_ALL": "C.UTF-8",
             "ERL_EPMD_ADDRESS": "127.0.0.1",
             "ERL_EPMD_PORT": str(self.mapper.port),
@@ -241,6 +250,13 @@ class RabbitMq(private_server.Server):
         self.control("close_all_connections", "a test wants it")
         return "REREAD"
 
+    def disk(self, megabytes):
+        os.makedirs(self.path("bin"), exist_ok=True)
+        self.write(os.path.join("bin", "df"), [DISK.format(data=self.path("data"), size=int(megabytes) * 1024)])
+        os.chmod(self.path("bin", "df"), 0o755)
+        self.control("eval", "rabbit_disk_monitor:set_max_check_interval(200), rabbit_disk_monitor ! update.")
+        return "DISK"
+
     def forget(self, user):
         self.control("delete_user", user)
         return "FORGOTTEN"
@@ -273,7 +289,7 @@ class RabbitMq(private_server.Server):
     def commands(self):
         return {**super().commands(), "alarm": self.alarm, "clear": self.clear, "forbid": self.forbid,
                 "permit": self.permit, "banish": self.banish, "cap": self.cap, "uncap": self.uncap, "queues": self.queues, "reread": self.reread,
-                "clients": self.clients, "forget": self.forget, "renew": self.renew}
+                "clients": self.clients, "disk": self.disk, "forget": self.forget, "renew": self.renew}
 
 
 def main():

@@ -12,6 +12,7 @@ it prints one line on stdout:
 Then it obeys one command for each line of stdin, as zookeeper.py does: kill, start, pause, resume, stop. The end of stdin
 means `stop`. Its sources: the ROS wiki's pages "Slave API" and "TCPROS".
 """
+import os
 import socketserver
 import struct
 import sys
@@ -94,7 +95,7 @@ def publish(master, port):
     node = xmlrpc.server.SimpleXMLRPCServer(("127.0.0.1", port), logRequests=False, allow_none=True)
     address = ["TCPROS", "127.0.0.1", images.server_address[1]]
     node.register_function(lambda caller, topic, protocols: [1, "", address], "requestTopic")
-    node.register_function(lambda caller: [1, "", 0], "getPid")
+    node.register_function(lambda caller: [1, "", os.getpid()], "getPid")
     registered = xmlrpc.client.ServerProxy(master).registerPublisher(NAME, TOPIC, TYPE, "http://127.0.0.1:%d/" % port)
     if registered[0] != 1:
         sys.exit("the ROS master does not take the camera: %s" % registered[1])

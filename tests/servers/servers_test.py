@@ -102,6 +102,15 @@ class ServersTest(unittest.TestCase):
 
 
 class EveryKindTest(ServersTest):
+    def test_mosquitto(self):
+        self.obeys("mosquitto.py")
+
+    def test_rtsp_camera(self):
+        self.obeys("rtsp_camera.py")
+
+    def test_mosquitto_with_tls(self):
+        self.obeys("mosquitto.py", "--tls")
+
     def test_redis(self):
         self.obeys("redis.py")
 

@@ -17,8 +17,8 @@ Then it obeys one command for each line of stdin and answers with one line on st
     stop    ends everything                        STOPPED
 
 The end of stdin means `stop`, so the server ends with whoever started it. A command that fails answers `ERROR text`.
-Data of an earlier run in DIR are kept. Session time-outs from 0.4 s on are accepted. One address may have N connections
-(--of-an-address; 0, the default: any number).
+Data of an earlier run in DIR are kept. Session time-outs from 0.4 s on are accepted. One address may have
+any number of connections (--setting maxClientCnxns=N: this number).
 """
 import os
 import socket

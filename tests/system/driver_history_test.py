@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""What becomes of a driver instance is seen through the command line: `iotcloud describe`, `history`, `logs` and `channel`, of a
-gateway whose driver host crashes, and of one that is frozen for a while.
+"""What becomes of a driver instance is seen through the command line: `iotcloud describe`, `history`, `logs`, `channel` and
+`check`, of a gateway whose driver host crashes, and of one that is frozen for a while.
 
 usage: driver_history_test.py BUILD_DIR
 """
@@ -28,6 +28,15 @@ class Fleet(PrivateCluster):
 
     def states(self, instance):
         return [change["state"] for change in self.json("history", instance)]
+
+
+def check_machine(fleet):
+    """`iotcloud check` finds nothing wrong with a machine whose gateway runs, and tells the gateway's port from a stranger's."""
+    done = fleet.run_cli("check", "--config", fleet.out / "gateway-1.yaml", "--limit", 60, "-o", "json")
+    found = {one["area"]: one for one in json.loads(done.stdout)}
+    require(done.returncode == 0, done.stdout)
+    require("answers" in found["registry"]["says"] and "takes connections" in found["broker"]["says"], done.stdout)
+    require(found["port"]["says"].startswith("iotcloud-gateway"), done.stdout)
 
 
 def check_crash(fleet, instance):
@@ -119,6 +128,7 @@ def main():
         fleet.start(gateways=2, more="registry.session_timeout: 60s")
         fleet.wait_until_ready()
         instance, other = fleet.deploy("gateway-1"), fleet.deploy("gateway-2")
+        check_machine(fleet)
         check_crash(fleet, instance)
         check_channels(fleet, instance)
         check_logs(fleet, instance)

@@ -4,6 +4,7 @@
 usage: local_run_test.py BUILD_DIR CONFIG_FOLDER [--servers | --limit SECONDS]
        --servers: with a real broker and registry; --limit: the most from the start to the first average of 1 s
 """
+import json
 import os
 import re
 import shutil
@@ -13,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import urllib.request
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "servers"))
@@ -67,6 +69,66 @@ def the_files_of_a_cluster_run_as_they_stand():
     echo.wait_for(r"data_receive: emitted [1-9]\d*/s")
     if "2 loadgen active" not in echo.said:
         sys.exit("the instances are not shown:\n" + echo.said)
+    echo.end()
+
+
+class View:
+    """The console of a run."""
+
+    def __init__(self, url):
+        self.url = url
+
+    def call(self, name, **given):
+        request = urllib.request.Request(f"{self.url}api/call/{name}", data=json.dumps(given).encode(),
+                                         headers={"Content-Type": "application/json", "Origin": self.url.rstrip("/")})
+        with urllib.request.urlopen(request, timeout=60) as answer:
+            return json.load(answer)
+
+    def first(self):
+        """The first of each kind of event that an open page gets, when there is a worker."""
+        seen, event = {}, ""
+        with urllib.request.urlopen(f"{self.url}api/live?rows=1", timeout=60) as stream:
+            for line in stream:
+                word, _, rest = line.decode().strip().partition(": ")
+                if word == "event":
+                    event = rest
+                elif word == "data":
+                    seen[event] = json.loads(rest)
+                if seen.get("rows", {}).get("set") and seen.get("state", {}).get("topologies"):
+                    return seen
+        sys.exit("the stream has ended")
+
+
+def the_page_has_the_log_the_way_of_messages_and_what_is_read():
+    echo = Run(CONFIG / "topology.yaml", "--property", "rate=50", "--view", "127.0.0.1:0", "--log-level", "info")
+    view = View(echo.wait_for(r"console: http")[0].removeprefix("console: "))
+    echo.wait_for(r"data_receive: emitted [1-9]\d*/s")
+    seen = view.first()
+    row, topology = seen["rows"]["set"][0], seen["state"]["topologies"][0]
+    of_instance = {"gateway": row["gateway"], "instance": row["instance"]}
+    of_worker = {"topology": topology["name"], "worker": topology["workers"][0]["name"]}
+    log = view.call("log", position="", **of_instance)
+    if row["instance"] not in log["text"] or view.call("log", position=log["position"], **of_instance)["text"] == log["text"]:
+        sys.exit(f"the log is not that of the process: {log}")
+    units = view.call("worker", target="/units", **of_worker)
+    if not any(spout["units"] for spout in units["spouts"]):
+        sys.exit(f"nobody reads anything: {units}")
+    trace, sent, back = {}, {}, {}
+
+    def came_back():
+        page = view.call("worker", target=f"/trace?id=a&driver={row['instance']}&every_ms=100", **of_worker)
+        trace.update({way["time_ms"]: (page["clock"], way) for way in page["ways"]})
+        for channel, to in (("data", sent), ("echo", back)):
+            look = view.call("look", channel=channel, look="a", most=64, bytes=0, every_ms=100, **of_instance)
+            to.update({message["time_ms"]: (look["clock"], message) for message in look["messages"]})
+        return set(trace) & set(sent) & set(back)
+
+    wait_for("a message is followed there and back", came_back)
+    time_ms = came_back().pop()
+    (clock, way), (of_host, out), (_, home) = trace[time_ms], sent[time_ms], back[time_ms]
+    times = [out["begin_us"], way["came_us"], way["taken_us"], way["steps"][0]["begin_us"], home["came_us"], home["begin_us"], home["end_us"]]
+    if clock != of_host or way["outcome"] != "acked" or out["fate"] != "confirmed" or any(a > b + 1 for a, b in zip(times, times[1:])):
+        sys.exit(f"the way is not one: {clock} {of_host} {times}\n{way}\n{out}\n{home}")
     echo.end()
 
 
@@ -207,6 +269,7 @@ def main():
         a_run_leaves_nothing_in_a_real_registry()
         return
     the_files_of_a_cluster_run_as_they_stand()
+    the_page_has_the_log_the_way_of_messages_and_what_is_read()
     the_first_average_is_there_soon_and_changes_are_taken_up()
     a_library_that_changes_is_loaded_anew()
     a_plugin_that_changes_is_loaded_anew()

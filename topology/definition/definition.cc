@@ -3,9 +3,9 @@
 #include <set>
 #include <tuple>
 
-#include <iotcloud/brokers/broker_setting.h>
 #include <iotcloud/config/log_settings.h>
-#include <iotcloud/discovery/registry_setting.h>
+#include <iotcloud/config/number.h>
+#include <iotcloud/topology/definition/connections.h>
 #include <iotcloud/topology/definition/definition.h>
 #include <iotcloud/topology/definition/read_endpoint.h>
 #include <iotcloud/topology/grouping.h>
@@ -169,20 +169,23 @@ ComponentDefinition read_bolt(const std::string& id, YamlSection section, const 
   return bolt;
 }
 
-/// Makes a registry URL from zk.servers; the key `registry` overrides it.
-std::string read_registry_url(YamlSection& root) {
-  const auto servers = root.strings_or("zk.servers", {});
-  auto registry = root.string_or("registry", "");
-  if (!registry.empty() || servers.empty()) return registry;
-  std::string url = "zookeeper://";
-  for (const auto& server : servers) {
-    const auto colon = server.rfind(':');
-    if (colon == std::string::npos || colon == 0 || colon + 1 == server.size()) {
-      root.refuse("zk.servers", "\"" + server + "\" is not a server", "host:port is expected (2181 is usual)");
+PlacementSettings read_placement(YamlSection& runtime) {
+  PlacementSettings settings;
+  auto section = runtime.optional_section("placement");
+  if (!section) return settings;
+  constexpr int most = 1024;  // cores in a cpu_set_t
+  for (const std::string& text : section->strings_or("cores", {})) {
+    const auto core = config::parse_number<int>(text);
+    if (!core || *core < 0 || *core >= most) {
+      section->refuse("cores", "\"" + text + "\" is no core", "write numbers from 0, for example \"cores: [2, 3]\"");
+      continue;
     }
-    url += (url.back() == '/' ? "" : ",") + server;
+    settings.cores.push_back(*core);
   }
-  return url;
+  settings.priority = static_cast<int>(section->int_or("priority", settings.priority, 0, 99));
+  settings.lock_memory = section->bool_or("lock_memory", settings.lock_memory);
+  section->finish();
+  return settings;
 }
 
 RunSettings read_runtime(YamlSection& root) {
@@ -197,41 +200,9 @@ RunSettings read_runtime(YamlSection& root) {
       static_cast<int>(section->int_or("max_spout_pending", settings.max_spout_pending, 0, 1'000'000));
   settings.mailbox_capacity =
       static_cast<int>(section->int_or("mailbox_capacity", settings.mailbox_capacity, 0, 1'000'000));
+  settings.placement = read_placement(*section);
   section->finish();
   return settings;
-}
-
-/// Refuses credentials without URLs: they would go to any address that a channel's record names, without TLS if the
-/// record says so.
-void refuse_aimless_credentials(const YamlSection& broker, const brokers::BrokerOptions& options) {
-  if (!options.urls.empty() || !brokers::are_credentials_given(options)) return;
-  broker.refuse("urls",
-                "user, password and TLS are given here, but no address: they would go to whatever address a "
-                "channel's record in the registry names",
-                "list the broker's own addresses, for example \"urls: [amqps://broker:5671/]\"");
-}
-
-/// Brokers by logical name: a URL, or a mapping of connection options. Without credentials both may leave the URL to
-/// the channels' records.
-std::map<std::string, brokers::BrokerOptions> read_brokers(YamlSection& root,
-                                                           std::chrono::milliseconds session_timeout) {
-  std::map<std::string, brokers::BrokerOptions> brokers;
-  auto section = root.optional_section("brokers");
-  if (!section) return brokers;
-  for (const std::string& name : section->names()) {
-    auto& options = brokers[name];
-    if (section->is_mapping(name)) {
-      YamlSection broker = section->require_section(name);
-      options = brokers::read_broker_options(broker, session_timeout);
-      broker.finish();
-      refuse_aimless_credentials(broker, options);
-    } else {
-      options.heartbeat = brokers::usual_heartbeat(session_timeout);
-      if (const std::string url = section->string_or(name, ""); !url.empty()) options.urls = {url};
-    }
-  }
-  section->finish();
-  return brokers;
 }
 
 /// Refuses brokers whose addresses the records name, in a fleet whose processes have users of their own: there whoever
@@ -319,12 +290,8 @@ TopologyDefinition TopologyDefinition::read(YamlSection& root, const std::string
                                 .bolts = {},
                                 .root = root};
   definition.name = discovery::TopologyName(require_name(root, "topology.name"));
-  definition.registry = discovery::read_registry_options(root);
-  definition.registry.url = read_registry_url(root);
-  definition.zk_root = root.string_or("zk.root", "/iot/sensors");
-  if (definition.zk_root.size() < 2 || definition.zk_root.front() != '/' || definition.zk_root.back() == '/') {
-    root.refuse("zk.root", "\"" + definition.zk_root + "\" is not a path", "/iot/sensors is usual");
-  }
+  definition.registry = read_registry(root);
+  definition.zk_root = read_zk_root(root);
   definition.order_keys = root.strings_or("orders.trusted_keys", {});
   definition.worker_scope = root.choice_or("topology.scope", "", {"worker"}) == "worker";
   definition.libraries = root.strings_or("topology.library", {});

@@ -114,6 +114,13 @@ struct ComponentDefinition {
   config::YamlSection section;                   ///< the component's place in the file
 };
 
+/// Where the threads of the worker's process run (`runtime.placement`).
+struct PlacementSettings {
+  std::vector<int> cores = {};  ///< that they may use; empty: all
+  int priority = 0;             ///< of SCHED_FIFO, 1 to 99; 0: the usual scheduler
+  bool lock_memory = false;     ///< what they have touched is never paged out
+};
+
 /// Settings of the run (`runtime`).
 struct RunSettings {
   int threads = 0;  ///< 0: one for each core
@@ -121,6 +128,7 @@ struct RunSettings {
   bool acking = true;         ///< false: a spout's tuple counts as acked when it is emitted (Storm: "0 ackers")
   int max_spout_pending = 0;  ///< how many tuples each task of a spout may have under way; 0: the runtime's default
   int mailbox_capacity = 0;   ///< how many tuples a task's mailbox holds; 0: the runtime's default
+  PlacementSettings placement;
 };
 
 /// The fields that a message's payload gives or takes.

@@ -1,18 +1,9 @@
 #include <iotcloud/topology/endpoints/endpoints.h>
-#include <iotcloud/topology/endpoints/json_builder.h>
+#include <iotcloud/topology/endpoints/message_fields.h>
 #include <iotcloud/topology/endpoints/receiving/broker_spout.h>
 #include <iotcloud/topology/endpoints/sending/broker_bolt.h>
 
 namespace iotcloud::topology {
-
-namespace {
-
-EndpointDefinition with_own_builder(EndpointDefinition endpoint) {
-  if (endpoint.builder == "json") endpoint.make_builder = [] { return std::make_unique<JsonBuilder>(); };
-  return endpoint;
-}
-
-}  // namespace
 
 EndpointFactories endpoint_factories(EndpointServicesPtr services) {
   EndpointFactories factories;

@@ -39,6 +39,7 @@ EndpointServicesPtr make_endpoint_services(const TopologyDefinition& definition,
   services->broker_options = definition.brokers;
   services->other_brokers.heartbeat = brokers::usual_heartbeat(definition.registry.session_timeout);
   services->clock = clock != nullptr ? clock : &config::system_clock();
+  services->traces = std::make_shared<MessageTraces>(*services->clock);
   services->metrics = metrics != nullptr ? metrics : &config::process_metrics();
   services->brokers = std::make_shared<brokers::BrokerPool>(clock, services->metrics);
   if (services->clock == &config::system_clock())

@@ -18,6 +18,7 @@
 #include <iotcloud/topology/endpoints/placement/partition_agreement.h>
 #include <iotcloud/topology/endpoints/receiving/arrivals.h>
 #include <iotcloud/topology/endpoints/receiving/held_messages.h>
+#include <iotcloud/topology/endpoints/receiving/message_traces.h>
 #include <iotcloud/topology/endpoints/standstill_fence.h>
 #include <iotcloud/topology/runtime/trouble_board.h>
 
@@ -45,6 +46,8 @@ struct EndpointServices {
   std::shared_ptr<TroubleBoard> troubles = std::make_shared<TroubleBoard>();     ///< never null; the runtime's, too
   std::shared_ptr<StandstillFence> fence = std::make_shared<StandstillFence>();  ///< never null
   std::shared_ptr<DriverUnits> units = std::make_shared<DriverUnits>();          ///< never null
+  std::shared_ptr<MessageTraces> traces =
+      std::make_shared<MessageTraces>(config::system_clock());  ///< never null; by `clock`
   /// By spout: what its channels must agree with (worker/meeting_spouts.h). Without an entry: with nothing, as where an
   /// engine takes tuples to other workers.
   std::map<std::string, std::shared_ptr<PartitionAgreement>> agreements;

@@ -223,6 +223,19 @@ master::Master& LocalCluster::master() {
   return *impl_->master;
 }
 
+gateway::Gateway* LocalCluster::gateway(const discovery::GatewayId& id) {
+  for (const auto& gateway : impl_->gateways)
+    if (gateway->id() == id) return gateway.get();
+  return nullptr;
+}
+
+topology::Worker* LocalCluster::worker(const std::string& name) {
+  const config::MutexLock lock(impl_->mutex);
+  for (const auto& worker : impl_->workers)
+    if (worker->name() == name) return worker.get();
+  return nullptr;
+}
+
 discovery::Registry& LocalCluster::registry() {
   return *impl_->registry;
 }

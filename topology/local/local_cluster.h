@@ -14,6 +14,10 @@
 #include <iotcloud/master/master.h>
 #include <iotcloud/topology/worker/worker.h>
 
+namespace iotcloud::gateway {
+class Gateway;
+}
+
 namespace iotcloud::local {
 
 /// The parts of a LocalCluster.
@@ -69,6 +73,10 @@ class LocalCluster {
   bool stop(std::chrono::milliseconds limit);
 
   master::Master& master();
+  /// The gateway of that id; null: there is none.
+  gateway::Gateway* gateway(const discovery::GatewayId& id);
+  /// The worker of that name; null: there is none.
+  topology::Worker* worker(const std::string& name);
   discovery::Registry& registry();
   const discovery::Paths& paths() const;
 

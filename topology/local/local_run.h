@@ -37,6 +37,7 @@ class LocalRun {
   /// The events since the last call, a line for each: how many instances are in which state, and what each component
   /// of the topology took and emitted a second, with its newest tuple.
   std::vector<std::string> news();
+  LocalCluster& cluster() { return cluster_; }
   /// \return false when something did not stop within the limit.
   bool stop(std::chrono::milliseconds limit) { return cluster_.stop(limit); }
 

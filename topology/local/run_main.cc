@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <future>
 #include <memory>
+#include <optional>
 #include <stop_token>
 
 #include <CLI/CLI.hpp>
@@ -11,7 +12,9 @@
 #include <unistd.h>
 
 #include <iotcloud/config/log_settings.h>
+#include <iotcloud/topology/local/local_console.h>
 #include <iotcloud/topology/local/local_run.h>
+#include <iotcloud/topology/local/recent_lines.h>
 #include <iotcloud/topology/local/watched_files.h>
 
 namespace {
@@ -73,11 +76,20 @@ std::unique_ptr<local::LocalRun> start(const local::RunOptions& options, const s
   return started.get();
 }
 
-int run(const local::RunOptions& options, int seconds, const sigset_t& ending, local::WatchedFiles& files) {
+/// \param view where the console is served; empty: nowhere. \param pages folders of robots' pages for it
+int run(const local::RunOptions& options, int seconds, const std::string& view, const std::vector<std::string>& pages,
+        const sigset_t& ending, local::WatchedFiles& files) {
+  std::optional<local::RecentLines> lines;
+  if (!view.empty()) lines.emplace();  // before the start, which the page's log is to tell, too
   const auto started = start(options, ending);
   if (!started) return 0;
   local::LocalRun& running = *started;
   std::printf("%s runs; Ctrl-C ends it\n", options.topology.c_str());
+  std::unique_ptr<local::LocalConsole> console;
+  if (!view.empty()) {
+    console = std::make_unique<local::LocalConsole>(running.cluster(), view, pages);
+    std::printf("console: %s\n", console->url().c_str());
+  }
   std::fflush(stdout);
   for (const auto& line : running.without_driver()) std::fprintf(stderr, "iotcloud-run: %s\n", line.c_str());
   std::string changed;
@@ -87,6 +99,7 @@ int run(const local::RunOptions& options, int seconds, const sigset_t& ending, l
     changed = files.changed();
   }
   if (!changed.empty()) print({changed + " changed: all starts anew"});
+  console.reset();
   if (!running.stop(stop_limit)) {
     std::fprintf(stderr, "iotcloud-run: not everything stopped within %d s\n",
                  static_cast<int>(stop_limit.count() / 1000));
@@ -118,14 +131,20 @@ std::vector<std::string> library_folders() {
   return {program.parent_path() / "plugins", program.parent_path() / "lib/iotcloud/plugins"};
 }
 
+/// The robots' pages of the build and of the installation.
+std::vector<std::string> page_folders() {
+  const auto program = std::filesystem::read_symlink("/proc/self/exe").parent_path();
+  return {program.parent_path() / "pages", program.parent_path() / "share/iotcloud/pages"};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
   signal(SIGPIPE, SIG_IGN);
   local::RunOptions options;
   int seconds = 0;
-  std::vector<std::string> properties;
-  std::string log_level = "warn";
+  std::vector<std::string> properties, pages;
+  std::string log_level = "warn", view;
   CLI::App app{"Runs a topology and drivers in one process, without a server.", "iotcloud-run"};
   app.add_option("FILE", options.topology, "the topology's YAML file")->required()->check(CLI::ExistingFile);
   app.add_option("--plugin", options.plugins, "a driver's plugin; again for each further one, all in one folder")
@@ -140,10 +159,16 @@ int main(int argc, char** argv) {
       "a registry's URL in place of the embedded one; all is below a path of the run's own there, which is removed "
       "at the end: no fleet is touched");
   app.add_option("--seconds", seconds, "end after so many; 0: with Ctrl-C");
+  app.add_option("--view", view,
+                 "HOST:PORT of loopback, where a page shows all of it: 127.0.0.1:9114; port 0: a free one");
+  app.add_option("--pages", pages, "a folder of robots' pages for --view; again for each further one")
+      ->check(CLI::ExistingDirectory)
+      ->allow_extra_args(false);
   app.add_option("--log-level", log_level, "debug, info, warn, error or off");
   CLI11_PARSE(app, argc, argv);
   try {
     options.library_folders = library_folders();
+    for (auto& folder : page_folders()) pages.push_back(std::move(folder));
     config::set_log_level(config::parse_log_level(log_level));
     for (const auto& word : properties) {
       const auto equals = word.find('=');
@@ -159,7 +184,7 @@ int main(int argc, char** argv) {
   local::WatchedFiles files(local::files_of(options));
   int status = 2;
   try {
-    status = run(options, seconds, ending, files);
+    status = run(options, seconds, view, pages, ending, files);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "iotcloud-run: %s\n", error.what());
     if (getenv(again_variable) != nullptr) status = wait_for_change(ending, files);

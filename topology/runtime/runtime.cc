@@ -22,6 +22,11 @@ namespace {
 constexpr std::chrono::milliseconds shortest_round{10};
 constexpr std::chrono::milliseconds longest_round{5000};
 
+/// \param kept -1: nothing of the kind
+void add_kept(std::int64_t& sum, std::int64_t kept) {
+  if (kept >= 0) sum = std::max<std::int64_t>(sum, 0) + kept;
+}
+
 }  // namespace
 
 unsigned RuntimeOptions::default_threads() {
@@ -45,6 +50,9 @@ TaskSnapshot Snapshot::component(const std::string& id) const {
     sum.pending += task.pending;
     sum.oldest_seconds = std::max(sum.oldest_seconds, task.oldest_seconds);
     sum.late += task.late;
+    add_kept(sum.window_tuples, task.window_tuples);
+    add_kept(sum.state_entries, task.state_entries);
+    add_kept(sum.state_bytes, task.state_bytes);
     sum.superseded += task.superseded;
     sum.busy_seconds += task.busy_seconds;
     sum.capacity = std::max(sum.capacity, task.capacity);
@@ -170,6 +178,10 @@ class Runtime::Impl {
     return std::make_unique<OwnedTap>(watcher);
   }
 
+  void trace(bool on) {
+    for (const auto& task : graph_.tasks()) task->taps().trace(on);
+  }
+
   LongCall longest_call() const {
     const auto longest = scheduler_.longest_slice();
     for (const auto& task : graph_.tasks()) {
@@ -264,6 +276,9 @@ void Runtime::rebalance(const std::string& component, int parallelism) {
 }
 std::unique_ptr<Tap> Runtime::tap(const std::string& component, double per_second, TapCall call) {
   return impl_->tap(component, per_second, std::move(call));
+}
+void Runtime::trace(bool on) {
+  impl_->trace(on);
 }
 Snapshot Runtime::snapshot() const {
   return impl_->snapshot();

@@ -73,12 +73,15 @@ struct TaskSnapshot {
   std::size_t pending = 0;        ///< spouts: trees under way
   double oldest_seconds = 0;      ///< spouts: since the oldest of them was emitted. Of a component: of all its tasks
   std::string last_error;
+  /// What the task keeps (Holdings); of a component: of all its tasks.
+  std::int64_t window_tuples = -1, state_entries = -1, state_bytes = -1;
   double busy_seconds = 0;  ///< time in user code
   /// Part of the last seconds in which the task was busy, 0 to 1. Of a component: that of its busiest task.
   double capacity = 0;
   config::Histogram::Summary execute_latency;   ///< bolts: duration of execute()
   config::Histogram::Summary process_latency;   ///< bolts: from the call of execute() to ack or fail
   config::Histogram::Summary complete_latency;  ///< spouts: from emit to the ack of the whole tree
+  config::Histogram::Spread execute_spread, process_spread, complete_spread;  ///< of these latencies
 };
 
 /// The call of user code that has not returned for longest.
@@ -145,6 +148,10 @@ class Runtime {
   /// runs on the runtime's threads, one call at a time, and holds up the task; keep it short. When it throws, the
   /// runtime logs the error and does not call it again. \throws std::invalid_argument for an unknown component.
   std::unique_ptr<Tap> tap(const std::string& component, double per_second, TapCall call);
+
+  /// While on, the tasks tell traces (TupleOrigin::trace()) of their tuples. Off at first, and then traces cost
+  /// nothing.
+  void trace(bool on);
 
   Snapshot snapshot() const;
   const Topology& topology() const;

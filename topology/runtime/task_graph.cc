@@ -34,7 +34,9 @@ TaskGraph::TaskGraph(const Topology& topology, TaskEnvironment environment, conf
   environment_.has_deadlines = has_deadlines(topology) || environment_.options->births;
   name_tasks();
   for (const ComponentSpec& spec : topology_.components) make_tasks(spec);
-  for (const auto& task : tasks_) task->emitter().set_up(streams_of(*task), &bolts_, task.get());
+  for (const auto& task : tasks_) {
+    task->emitter().set_up(streams_of(*task), &bolts_, task.get(), environment_.has_deadlines);
+  }
 }
 
 TaskGraph::~TaskGraph() {

@@ -46,11 +46,12 @@ void LastWrites::forget(const std::string& key) {
 
 }  // namespace internal
 
-KeyValueState::KeyValueState(std::shared_ptr<StateStore> store, StateOwner owner)
+KeyValueState::KeyValueState(std::shared_ptr<StateStore> store, StateOwner owner, std::size_t most_remembered)
     : store_(std::move(store)),
       owner_(with_session(std::move(owner))),
       shared_(store_->shared()),
-      state_(store_->load(owner_)) {}
+      state_(store_->load(owner_)),
+      written_(most_remembered) {}
 
 const std::string* KeyValueState::find(std::string_view key) const {
   if (shared_) claim(key);

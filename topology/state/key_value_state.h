@@ -45,12 +45,10 @@ class LastWrites {
 /// next checkpoint, which forgets all keys.
 class KeyValueState {
  public:
-  /// With a shared store: of how many keys at most, the last that it wrote, a task notices that the store has lost them
-  /// (take_losses()). It notices it of half as many in any case.
-  static constexpr std::size_t most_remembered = 100'000;
-
-  /// Loads the store's last checkpoint. \throws StateError; StateUnavailable.
-  KeyValueState(std::shared_ptr<StateStore> store, StateOwner owner);
+  /// Loads the store's last checkpoint. \param most_remembered with a shared store: of how many keys at most, the last
+  /// that it wrote, the task notices that the store has lost them (take_losses()); it notices it of half as many in any
+  /// case. \throws StateError; StateUnavailable.
+  KeyValueState(std::shared_ptr<StateStore> store, StateOwner owner, std::size_t most_remembered = 100'000);
 
   /// The value of a key; nullptr if the key does not exist.
   const std::string* find(std::string_view key) const;
@@ -114,7 +112,7 @@ class KeyValueState {
   /// Keys that were claimed since the last checkpoint, with ClaimedValue::changes.
   mutable std::map<std::string, std::uint64_t, std::less<>> claims_;
   /// ClaimedValue::changes of the keys that this task has written, as of then: a claim that brings less shows a loss.
-  mutable internal::LastWrites written_{most_remembered};
+  mutable internal::LastWrites written_;
   mutable std::vector<std::string> losses_;
   Values before_call_;  ///< values of the keys that changed since begin_call(), as they were then
 };

@@ -18,6 +18,9 @@ namespace {
 
 const config::Logger state_logger{"topology.state"};
 
+/// Of the bytes of a state.
+constexpr std::chrono::seconds between_measurements{5};
+
 void read_store(ConfCheck&, const std::string&, const std::string& text, StateOptions& options) {
   options.store = text;
 }
@@ -44,7 +47,8 @@ const std::vector<ConfOption<StateOptions>>& declared() {
       {{"state.store", "`memory://NAME`, `rocksdb:///PATH`, `redis://HOST:PORT` or `rediss://`",
         "the library's; one of both must say it",
         "where checkpoints go; of several systems (registries) that use one Redis each adds `?prefix=NAME`, a name of "
-        "its own"},
+        "its own; with `rediss://` also `revoked_file=FILE`, a copy of revoked.pem, from `iotcloud certs revoke`: a "
+        "server that is on it gets no password and no state"},
        read_store},
       {{"state.checkpoint", "duration, 1 ms at least",
         "the library's, else `" + config::internal::duration_text(StateOptions{}.checkpoint) + "`",
@@ -176,6 +180,7 @@ class StatefulBoltExecutor final : public Bolt {
     state_.emplace(make_state_store(options.store), std::move(owner));
     bolt_->prepare(config, context, *holding_);
     bolt_->init_state(*state_);
+    show_size();
   }
 
   void execute(const Tuple& tuple) override {
@@ -215,6 +220,7 @@ class StatefulBoltExecutor final : public Bolt {
       call_pre_checkpoint();
       require_own_messages();
       const bool changed = state_->changed();
+      show_size();  // before the checkpoint: after it a shared store's keys are forgotten here
       state_->checkpoint();
       if (changed) {
         checkpoints_->add();
@@ -238,6 +244,19 @@ class StatefulBoltExecutor final : public Bolt {
     }
     executed_.clear();
     for (const Tuple& tuple : held) collector_->ack(tuple);
+  }
+
+  /// Shows how large the state is. The bytes are added up now and then, because that reads the whole state.
+  void show_size() {
+    if (context_->holdings == nullptr) return;
+    auto& shown = *context_->holdings;
+    shown.state_entries.store(static_cast<std::int64_t>(state_->size()), std::memory_order_relaxed);
+    const auto now = context_->clock->now();
+    if (measured_ && now - *measured_ < between_measurements) return;
+    measured_ = now;
+    std::int64_t bytes = 0;
+    for (const auto& [key, value] : state_->entries()) bytes += static_cast<std::int64_t>(key.size() + value.size());
+    shown.state_bytes.store(bytes, std::memory_order_relaxed);
   }
 
   void call_pre_checkpoint() {
@@ -355,9 +374,10 @@ class StatefulBoltExecutor final : public Bolt {
   std::deque<Tuple> waiting_;    ///< for a store that is away
   std::vector<Tuple> executed_;  ///< tracked ones, since the last checkpoint
   const TopologyContext* context_ = nullptr;
-  bool is_grouped_ = false;        ///< the values of fields choose the task for all inputs
-  std::string trouble_;            ///< as context_->troubles has it
-  bool said_unavailable_ = false;  ///< the store is away, as far as is known, and that was said
+  std::optional<config::Clock::Instant> measured_;  ///< when the bytes of the state were added up
+  bool is_grouped_ = false;                         ///< the values of fields choose the task for all inputs
+  std::string trouble_;                             ///< as context_->troubles has it
+  bool said_unavailable_ = false;                   ///< the store is away, as far as is known, and that was said
 };
 
 }  // namespace

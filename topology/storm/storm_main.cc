@@ -88,7 +88,8 @@ struct Words {
   }
   CLI::App* of_cluster(CLI::App* made) {
     made->add_option("--nimbus", call.nimbus, "HOST:PORT of Storm's Nimbus; several with commas")->delimiter(',');
-    made->add_option("--patience", patience_s, "seconds in which a Nimbus must lead, after a failover, say")
+    made->add_option("--patience", patience_s,
+                     "seconds in which a Nimbus must lead: after a failover, or when the one that leads fails")
         ->check(CLI::Range(0, 3600));
     made->add_option_function<std::string>(
             "-o,--output",

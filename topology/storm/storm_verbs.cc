@@ -91,11 +91,6 @@ TopologyDetails details_of(NimbusClient& nimbus, const std::string& name) {
   throw NimbusError("no topology \"" + name + "\" runs; " + (known.empty() ? "none does" : "there are " + known));
 }
 
-/// When something began that has lasted so long.
-std::int64_t since_ms(int uptime_s) {
-  return output::began_ms(seconds(uptime_s));
-}
-
 /// The words of `iotcloud topology` for Storm's: "active", "inactive", "killed", "rebalancing".
 std::string state_of(const RunningTopology& topology) {
   std::string state = topology.status;
@@ -309,7 +304,7 @@ void show_workers(const TopologyDetails& details, std::ostream& out) {
   Rows rows;
   for (const auto& [place, worker] : workers_of(details)) {
     rows.push_back({printable(place), printable(worker.host), std::to_string(worker.tasks), state_of(details.topology),
-                    output::age(since_ms(worker.uptime_s), output::now_ms())});
+                    output::age(output::began_ms(seconds(worker.uptime_s)), output::now_ms())});
   }
   output::print_table(out, {"WORKER", "HOST", "TASKS", "STATE", "SINCE"}, rows);
 }
@@ -335,7 +330,7 @@ void show_executors(const TopologyDetails& details, std::ostream& out) {
   for (const auto& executor : details.executors) {
     rows.push_back({printable(executor.component), tasks_text(executor),
                     printable(place_of(executor.host, executor.port)), executor.reported ? "yes" : "not yet",
-                    output::age(since_ms(executor.uptime_s), output::now_ms())});
+                    output::age(output::began_ms(seconds(executor.uptime_s)), output::now_ms())});
   }
   output::print_table(out, {"COMPONENT", "TASKS", "WORKER", "RUNS", "SINCE"}, rows);
 }
@@ -370,7 +365,7 @@ int list_once(const StormCall& call, NimbusClient& nimbus) {
       if (nimbus.details(topology.name)) throw;
       continue;  // it ended since
     }
-    const auto since = since_ms(topology.uptime_s);
+    const auto since = output::began_ms(seconds(topology.uptime_s));
     rows.push_back({printable(topology.name), state_of(topology), std::to_string(topology.workers),
                     output::age(since, output::now_ms()), printable(fmt::format("{}", fmt::join(spouts, ","))),
                     printable(fmt::format("{}", fmt::join(bolts, ",")))});
@@ -445,7 +440,7 @@ int show(const StormCall& call, const std::string& name) {
     of_workers.push_back({{"worker", place},
                           {"host", worker.host},
                           {"state", state_of(details.topology)},
-                          {"since_ms", since_ms(worker.uptime_s)}});
+                          {"since_ms", output::began_ms(seconds(worker.uptime_s))}});
   }
   for (const auto& each : counts) {
     Json component{{"id", each.component}, {"kind", kind_of(each)}};
@@ -457,13 +452,13 @@ int show(const StormCall& call, const std::string& name) {
                          {"tasks", tasks_text(executor)},
                          {"worker", place_of(executor.host, executor.port)},
                          {"runs", executor.reported},
-                         {"since_ms", since_ms(executor.uptime_s)}});
+                         {"since_ms", output::began_ms(seconds(executor.uptime_s))}});
   }
   output::print_data(call.out, call.format,
                      {{"topology", name},
                       {"engine", "storm"},
                       {"state", state_of(details.topology)},
-                      {"since_ms", since_ms(details.topology.uptime_s)},
+                      {"since_ms", output::began_ms(seconds(details.topology.uptime_s))},
                       {"wanted_workers", details.topology.workers},
                       {"workers", of_workers},
                       {"components", components},

@@ -143,6 +143,12 @@ void FakeInstance::publish(std::string_view channel, std::string_view text) {
   publish(channel, std::move(message));
 }
 
+void FakeInstance::update_metadata(const drivers::PropertyMap& changes) {
+  const config::MutexLock lock(impl_->mutex);
+  if (impl_->context == nullptr) throw std::runtime_error("the instance " + impl_->id + " is not there any more");
+  if (!changes.empty()) impl_->context->update_metadata(changes);
+}
+
 std::vector<drivers::Message> FakeInstance::received(std::string_view channel) const {
   return wait_for(channel, 0);
 }

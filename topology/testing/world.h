@@ -42,6 +42,9 @@ class FakeInstance {
   void publish(std::string_view channel, drivers::Message message);
   /// The same with this text, and the present time.
   void publish(std::string_view channel, std::string_view text);
+  /// Sets metadata of the instance, as DriverContext::update_metadata(). \throws std::runtime_error when the world was
+  /// stopped.
+  void update_metadata(const drivers::PropertyMap& changes);
   /// All that it got on an incoming channel so far, in order.
   /// \throws std::invalid_argument for a channel that the driver does not get messages on.
   std::vector<drivers::Message> received(std::string_view channel) const;

@@ -42,6 +42,7 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
     options_ = configured(std::move(options_), config);
     collector_ = &collector;
     clock_ = context.clock;
+    holdings_ = context.holdings;
     wall_offset_ms_ = clock_->wall_ms() - as_ms(clock_->now());
     const std::int64_t now = now_ms();
     buffer_.emplace(options_.length, options_.slide, options_.event_time() ? 0 : now);
@@ -55,6 +56,15 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
   }
 
   void execute(const Tuple& tuple) override {
+    take(tuple);
+    if (holdings_ != nullptr)
+      holdings_->window_tuples.store(static_cast<std::int64_t>(buffer_->size()), std::memory_order_relaxed);
+  }
+
+  void cleanup() override { bolt_->cleanup(); }
+
+ private:
+  void take(const Tuple& tuple) {
     const std::int64_t now = now_ms();
     if (!options_.event_time()) {
       buffer_->advance(now, *this);
@@ -78,9 +88,6 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
     if (options_.watermark_interval.count() == 0) move_on(now);
   }
 
-  void cleanup() override { bolt_->cleanup(); }
-
- private:
   /// Milliseconds since 1970 by the monotonic clock, so that steps of the wall clock do not move windows.
   std::int64_t now_ms() const { return as_ms(clock_->now()) + wall_offset_ms_; }
 
@@ -133,6 +140,7 @@ class WindowedBoltExecutor final : public Bolt, private WindowBuffer::Listener, 
   WindowOptions options_;
   OutputCollector* collector_ = nullptr;
   const config::Clock* clock_ = nullptr;
+  Holdings* holdings_ = nullptr;
   std::int64_t wall_offset_ms_ = 0;
   std::optional<WindowBuffer> buffer_;
   std::optional<Watermarks> watermarks_;

@@ -22,6 +22,8 @@
 #include <iotcloud/topology/pool/pool_daemon.h>
 #include <iotcloud/topology/pool/pooled_worker.h>
 #include <iotcloud/topology/worker/check.h>
+#include <iotcloud/topology/worker/page_requests.h>
+#include <iotcloud/topology/worker/placement.h>
 #include <iotcloud/topology/worker/worker.h>
 
 namespace {
@@ -37,9 +39,6 @@ rpc::PageSettings pages_of(const topology::TopologyDefinition& definition) {
   return pages;
 }
 
-/// More samples of a tap would slow the topology down.
-constexpr double most_samples_a_second = 1000;
-
 /// The host:port at which others reach the pages: with the host that the settings name, or, if the pages are served at
 /// all addresses, with this machine's name. The certificate must have the same name. \param bound their address with
 /// its real port
@@ -50,17 +49,30 @@ std::string reached_at(const std::string& address, const std::string& bound) {
   return (everywhere ? config::host_name() : host) + bound.substr(bound.rfind(':'));
 }
 
-/// The worker and its pages: /metrics for Prometheus, /healthz, and /topology and /tap for `iotcloud topology`.
+/// The worker and its pages: /metrics for Prometheus, /healthz, /topology and /tap for `iotcloud topology`,
+/// /trace and /units for the console.
 class WorkerService final : public config::DaemonService {
  public:
   explicit WorkerService(topology::WorkerOptions options)
-      : settings_(pages_of(options.definition)), worker_(std::move(options)) {}
+      : settings_(pages_of(options.definition)),
+        placement_(options.definition.runtime.placement),
+        worker_(std::move(options)) {}
   void start(const std::stop_token& stop) override {
-    pages_.emplace(settings_, std::map<std::string, rpc::HttpHandler>{
-                                  {"/metrics", rpc::metrics_page(config::process_metrics())},
-                                  {"/healthz", rpc::health_page([this] { return trouble(); })},
-                                  {"/topology", [this](const auto&) { return describe(); }},
-                                  {"/tap", [this](const auto& request) { return tap(request); }}});
+    topology::place_threads(placement_);  // before the first of them starts
+    pages_.emplace(
+        settings_,
+        std::map<std::string, rpc::HttpHandler>{
+            {"/metrics", rpc::metrics_page(config::process_metrics())},
+            {"/healthz", rpc::health_page([this] { return trouble(); })},
+            {"/topology", [this](const auto&) { return describe(); }},
+            {"/tap",
+             [this](const auto& request) {
+               return answer([&] { return topology::tap_page(worker_, request.query); });
+             }},
+            {"/units", [this](const auto&) { return answer([&] { return topology::units_page(worker_); }); }},
+            {"/trace", [this](const auto& request) {
+               return answer([&] { return topology::trace_page(worker_, request.query); });
+             }}});
     worker_.show_http_address(reached_at(settings_.address, pages_->address()), !settings_.tls.empty());
     worker_.start(stop);
     started_ = true;
@@ -79,26 +91,17 @@ class WorkerService final : public config::DaemonService {
  private:
   rpc::HttpAnswer describe() const { return {200, "application/json", worker_.describe()}; }
 
-  /// Answers one poll of a tap: its id; component, stream and rate in the first poll; `end` in the last one.
-  rpc::HttpAnswer tap(const rpc::HttpRequest& request) {
-    const auto word = [&](const char* key) {
-      const auto found = request.query.find(key);
-      return found == request.query.end() ? std::string() : found->second;
-    };
+  template <typename Page>
+  rpc::HttpAnswer answer(const Page& page) {
     try {
-      if (!word("end").empty()) {
-        worker_.taps().end(word("id"));
-        return {200, "application/json", "{}"};
-      }
-      const std::string rate = word("rate");
-      const double per_second = rate.empty() ? 10 : std::min(std::stod(rate), most_samples_a_second);
-      return {200, "application/json", worker_.taps().poll(word("id"), word("component"), word("stream"), per_second)};
-    } catch (const std::logic_error& error) {
+      return {200, "application/json", page()};
+    } catch (const std::invalid_argument& error) {
       return {400, "text/plain", error.what()};
     }
   }
 
   const rpc::PageSettings settings_;
+  const topology::PlacementSettings placement_;
   topology::Worker worker_;
   std::atomic<bool> started_{false};
   std::optional<rpc::HttpServer> pages_;  ///< last, because its pages use the worker

@@ -25,17 +25,25 @@ std::string to_text(const Json& json) {
   return json.dump(-1, ' ', false, Json::error_handler_t::replace);
 }
 
-Json to_json(const config::Histogram::Summary& summary) {
+Json to_json(const config::Histogram::Summary& summary, const config::Histogram::Spread& spread) {
+  Json buckets = Json::array();
+  for (const auto& [end_ns, count] : spread) buckets.push_back({end_ns / 1000, count});
   return {{"count", summary.count},
           {"p50_us", summary.p50_ns / 1000},
           {"p99_us", summary.p99_ns / 1000},
-          {"max_us", summary.max_ns / 1000}};
+          {"max_us", summary.max_ns / 1000},
+          {"buckets", buckets}};
 }
 
 Json to_json(const Fields& fields) {
   Json names = Json::array();
   for (std::size_t i = 0; i < fields.size(); ++i) names.push_back(fields[i]);
   return names;
+}
+
+/// \param kept -1: nothing of the kind
+Json kept_json(std::int64_t kept) {
+  return kept < 0 ? Json() : Json(kept);
 }
 
 Json to_json(const TaskSnapshot& task) {
@@ -54,9 +62,12 @@ Json to_json(const TaskSnapshot& task) {
           {"pending", task.pending},
           {"oldest_s", task.oldest_seconds},
           {"capacity", task.capacity},
-          {"execute", to_json(task.execute_latency)},
-          {"process", to_json(task.process_latency)},
-          {"complete", to_json(task.complete_latency)},
+          {"window_tuples", kept_json(task.window_tuples)},
+          {"state_entries", kept_json(task.state_entries)},
+          {"state_bytes", kept_json(task.state_bytes)},
+          {"execute", to_json(task.execute_latency, task.execute_spread)},
+          {"process", to_json(task.process_latency, task.process_spread)},
+          {"complete", to_json(task.complete_latency, task.complete_spread)},
           {"last_error", task.last_error}};
 }
 

@@ -20,8 +20,9 @@ class Arrivals;
 /// Writes the graph with its parallelism and each task's counts as JSON: {"topology", "worker", "active", "brokers":
 /// [{"broker", "url", "state", "since_ms", "why"}], "arrivals": [{"component", "age_s", "backlog", "topic", "most"}],
 /// "troubles": [{"component", "text"}], "components": [{"id", "kind", "parallelism", "tasks", "inputs", "streams"}],
-/// "tasks": [{"component", "task", "emitted", ..., "execute": {"count", "p50_us", "p99_us", "max_us"}, ...}]}. Of the
-/// arrivals `age_s` and `backlog` are null if they are not known; `topic` has the most of the backlog.
+/// "tasks": [{"component", "task", "emitted", ..., "execute": {"count", "p50_us", "p99_us", "max_us", "buckets":
+/// [[upper end in us, count]]}, ...}]}. Of the arrivals `age_s` and `backlog` are null if they are not known; `topic`
+/// has the most of the backlog.
 std::string describe(const Runtime& runtime, const std::string& worker,
                      const std::vector<BrokerWatch::Link>& brokers = {},
                      const std::map<std::string, std::shared_ptr<const Arrivals>>& arrivals = {});

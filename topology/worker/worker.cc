@@ -1,9 +1,11 @@
 #include <algorithm>
 #include <atomic>
+#include <ctime>
 #include <map>
 #include <string>
 #include <thread>
 
+#include <fmt/chrono.h>
 #include <fmt/format.h>
 #include <unistd.h>
 
@@ -37,6 +39,9 @@ constexpr std::chrono::milliseconds after_drain{3000};
 
 /// How long a starting worker waits for the registry before it does without.
 constexpr std::chrono::milliseconds registry_patience{2000};
+
+/// A call of a component's code that takes so long counts as hanging.
+constexpr std::chrono::milliseconds hanging_limit{5000};
 
 /// How often the brokers are looked at.
 constexpr std::chrono::milliseconds look_pause{500};
@@ -105,6 +110,7 @@ struct Worker::Impl {
     RuntimeOptions how = runtime_options(options);
     how.troubles = services->troubles.get();
     runtime = std::make_unique<Runtime>(topology, std::move(how));
+    services->traces->on_change([this](bool any) { runtime->trace(any); });
     taps = std::make_unique<TapDesk>(*runtime, TapDesk::Options{.clock = options.clock});
     runtime->deactivate();  // WorkerControl activates it when it knows the orders
     runtime->start();
@@ -120,7 +126,29 @@ struct Worker::Impl {
     std::string text = watch->trouble();
     const std::string board = services->troubles->line();
     if (!board.empty()) text += (text.empty() ? "" : "; ") + board;
+    const std::string call = hanging();
+    if (!call.empty()) text += (text.empty() ? "" : "; ") + call;
     return text;
+  }
+
+  /// The task whose code does not return, for people; empty: none. The text stays the same as long as the call lasts.
+  std::string hanging() {
+    if (!running) return "";
+    const LongCall call = runtime->longest_call();
+    const config::MutexLock lock(hanging_mutex);
+    if (call.age < hanging_limit) {
+      hanging_text.clear();
+      return "";
+    }
+    const auto begun = services->clock->now() - call.age;
+    const bool same = !hanging_text.empty() && call.task == hanging_task && begun - hanging_since < hanging_limit;
+    if (same) return hanging_text;
+    hanging_task = call.task;
+    hanging_since = begun;
+    hanging_text = fmt::format("{}: task {} hangs, a call of its code did not return for {} s before {:%FT%TZ}",
+                               call.component, call.task, hanging_limit.count() / 1000,
+                               fmt::gmtime(static_cast<std::time_t>(services->clock->wall_ms() / 1000)));
+    return hanging_text;
   }
 
   /// Looks at brokers and components, and shows what is wrong in the worker's record, for `iotcloud status`.
@@ -177,7 +205,7 @@ struct Worker::Impl {
       if (!std::exchange(told, true))
         worker_logger.warn(
             "{}; this worker waits for the end of that one for as long as the session of a dead one lasts", taken);
-      if (pause(std::chrono::milliseconds(100), stop)) return false;
+      if (pause(std::chrono::seconds(1), stop)) return false;  // each look reads the groups of the whole fleet
     }
   }
 
@@ -295,6 +323,10 @@ struct Worker::Impl {
   std::unique_ptr<Runtime> runtime;
   std::unique_ptr<TapDesk> taps;
   std::atomic<bool> running{false};  ///< runtime and taps exist
+  config::Mutex hanging_mutex;
+  int hanging_task IOTCLOUD_GUARDED_BY(hanging_mutex) = 0;
+  config::Clock::Instant hanging_since IOTCLOUD_GUARDED_BY(hanging_mutex){};
+  std::string hanging_text IOTCLOUD_GUARDED_BY(hanging_mutex);
   config::Mutex finish_mutex;
   bool finished IOTCLOUD_GUARDED_BY(finish_mutex) = false;
   std::unique_ptr<WorkerControl> control;  ///< destroyed before the runtime, which it uses
@@ -348,6 +380,24 @@ std::string Worker::describe() const {
 TapDesk& Worker::taps() {
   if (!impl_->running) throw config::Error("the worker is starting; ask again in a moment");
   return *impl_->taps;
+}
+
+MessageTraces& Worker::traces() {
+  if (!impl_->running) throw config::Error("the worker is starting; ask again in a moment");
+  return *impl_->services->traces;
+}
+
+const std::map<std::string, std::shared_ptr<const Arrivals>>& Worker::arrivals() const {
+  if (!impl_->running) throw config::Error("the worker is starting; ask again in a moment");
+  return impl_->services->arrivals;
+}
+
+const std::string& Worker::topology() const {
+  return impl_->topology.name;
+}
+
+const config::Clock& Worker::clock() const {
+  return *impl_->services->clock;
 }
 
 LongCall Worker::longest_call() const {

@@ -18,6 +18,8 @@
 
 namespace iotcloud::topology {
 
+class Arrivals;
+class MessageTraces;
 class StandstillFence;
 
 /// The topology that a worker runs, and what it uses.
@@ -76,6 +78,12 @@ class Worker final : public config::DaemonService {
   /// This worker's pages (pages.h), for the daemon to serve. \throws config::Error before start().
   std::string describe() const;
   TapDesk& taps();
+  /// The ways of messages through this worker. \throws config::Error before start().
+  MessageTraces& traces();
+  /// What is on its way to each spout. \throws config::Error before start().
+  const std::map<std::string, std::shared_ptr<const Arrivals>>& arrivals() const;
+  const std::string& topology() const;
+  const config::Clock& clock() const;
 
  private:
   struct Impl;

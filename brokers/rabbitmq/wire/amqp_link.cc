@@ -78,6 +78,7 @@ std::string describe(const amqp_connection_close_t& closed) {
 AmqpLink::AmqpLink(const AmqpLinkOptions& options) : state_(amqp_new_connection()), tls_(wants_tls(options.url)) {
   if (!state_) throw LinkError("out of memory");
   amqp_socket_t* socket = make_socket(state_.get(), options.url, options.tls);
+  if (tls_) shown_ = guard(socket, *options.trust);
   const timeval limit = to_timeval(options.rpc_timeout);
   amqp_set_handshake_timeout(state_.get(), &limit);
   amqp_set_rpc_timeout(state_.get(), &limit);

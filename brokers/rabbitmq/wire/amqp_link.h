@@ -13,6 +13,7 @@
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/rabbitmq/wire/declarations.h"
 #include "iotcloud/brokers/rabbitmq/wire/frame_writer.h"
+#include "iotcloud/brokers/server_trust.h"
 #include <iotcloud/brokers/broker.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -24,8 +25,9 @@ class LinkError : public std::runtime_error {
 };
 
 struct AmqpLinkOptions {
-  BrokerUrl url;  ///< with the effective user and password
-  Tls tls;        ///< when the URL's scheme is "amqps"
+  BrokerUrl url;                 ///< with the effective user and password
+  Tls tls;                       ///< when the URL's scheme is "amqps"
+  ServerTrust* trust = nullptr;  ///< of the files in `tls`; not null with TLS
   std::chrono::milliseconds heartbeat{4000};
   std::chrono::milliseconds rpc_timeout{5000};  ///< also for connecting and logging in
   std::string purpose;                          ///< shown by RabbitMQ's tools: "publishing", "consuming"
@@ -45,6 +47,8 @@ class AmqpLink {
   AmqpLink& operator=(const AmqpLink&) = delete;
 
   int descriptor() const { return descriptor_; }
+  /// What the server showed at the handshake; null: the connection has no TLS.
+  const std::shared_ptr<ShownChain>& shown() const { return shown_; }
   int channel_limit() const;
   std::chrono::seconds heartbeat() const;
 
@@ -104,6 +108,7 @@ class AmqpLink {
   };
   SendBuffer look_at_buffer() const;
 
+  std::shared_ptr<ShownChain> shown_;  ///< outlives state_
   std::unique_ptr<amqp_connection_state_t_, Destroyer> state_;
   int descriptor_ = -1;
   const bool tls_;

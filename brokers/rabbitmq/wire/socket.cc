@@ -6,7 +6,6 @@
 #include <openssl/ssl.h>
 
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
-#include "iotcloud/brokers/revocation.h"
 #include <iotcloud/config/error.h>
 
 namespace iotcloud::brokers::rabbitmq {
@@ -74,13 +73,15 @@ amqp_socket_t* make_socket(amqp_connection_state_t state, const BrokerUrl& url, 
         "client certificate", tls.certificate_file,
         fmt::format("it and its key \"{}\" must be readable, in PEM form, and belong together", tls.key_file).c_str());
   }
+  return socket;
+}
+
+std::shared_ptr<ShownChain> guard(amqp_socket_t* socket, ServerTrust& trust) {
   try {
-    if (!tls.revoked_file.empty())
-      refuse_revoked(static_cast<SSL_CTX*>(amqp_ssl_socket_get_context(socket)), tls.revoked_file);
+    return trust.guard(static_cast<SSL_CTX*>(amqp_ssl_socket_get_context(socket)));
   } catch (const config::Error& error) {
     throw LinkError(error.what());
   }
-  return socket;
 }
 
 void open_socket(amqp_socket_t* socket, const BrokerUrl& url, std::chrono::milliseconds limit) {

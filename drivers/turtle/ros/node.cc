@@ -9,24 +9,17 @@
 
 #include <geometry_msgs/Twist.h>
 #include <nav_msgs/Odometry.h>
-#include <ros/callback_queue.h>
-#include <ros/init.h>
-#include <ros/master.h>
-#include <ros/names.h>
-#include <ros/node_handle.h>
-#include <ros/this_node.h>
-#include <ros/xmlrpc_manager.h>
 #include <sensor_msgs/Image.h>
 
+#include <iotcloud/drivers/ros/graph.h>
 #include <iotcloud/drivers/turtle/ros/node.h>
-
-namespace ros::master {
-/// ros::init() calls this, but only the first time in a process: it sets the master's address.
-void init(const M_string& remappings);
-}  // namespace ros::master
 
 namespace iotcloud::drivers::turtle::ros {
 
+using drivers::ros::Graph;
+using drivers::ros::Master;
+using drivers::ros::MasterAddress;
+using drivers::ros::TopicRecord;
 using std::chrono::steady_clock;
 
 namespace {
@@ -36,19 +29,6 @@ constexpr std::chrono::milliseconds tend_period{1000};
 constexpr std::chrono::milliseconds silence{2000};  // of a camera, until the state says so
 constexpr std::chrono::milliseconds renewal{5000};  // of the subscription to a topic that is silent
 constexpr std::chrono::milliseconds flush_time{50};
-constexpr double wait_s = 0.1;                          // for messages; the node's end is noticed within this time
-constexpr const char* nowhere = "http://127.0.0.1:1/";  // refuses connections at once
-std::atomic<bool> taken = false;                        // this process has a node
-
-/// Reserves this process's only node. \throws std::runtime_error.
-void take_process() {
-  if (taken.exchange(true)) {
-    throw std::runtime_error(
-        "this process has a ROS node already, and roscpp allows one to a process: deploy each instance with "
-        "isolation=instance (or without the property: it is what turtle_ros.so asks for)");
-  }
-}
-
 template <typename RosMessage>
 TopicRecord record_of(const std::string& topic) {
   return {topic, ::ros::message_traits::datatype<RosMessage>()};
@@ -72,12 +52,6 @@ NodeOdometry plain(const nav_msgs::Odometry& odometry) {
 }
 
 }  // namespace
-
-std::string problem_of_topic(const std::string& name) {
-  std::string problem;
-  ::ros::names::validate(name, problem);
-  return problem;
-}
 
 class RosNode::Impl {
  public:
@@ -123,8 +97,7 @@ class RosNode::Impl {
   const Master master_;
   const NodeTopics topics_;
   const NodeEvents events_;
-  ::ros::CallbackQueue queue_;
-  std::unique_ptr<::ros::NodeHandle> handle_;  ///< exists once a master has answered
+  Graph graph_{master_, "iotcloud_turtle", "turtle_ros.so"};
   ReadTopic images_, odometry_;
   bool announced_ = false;  ///< the master knows all topics of this node
   std::mutex mutex_;
@@ -145,28 +118,12 @@ void RosNode::publish(double linear, double angular) {
 
 RosNode::Impl::Impl(MasterAddress master, NodeTopics topics, NodeEvents events)
     : master_(std::move(master), call_limit), topics_(std::move(topics)), events_(std::move(events)) {
-  take_process();
-  try {
-    const ::ros::M_string settings{
-        {"__master", master_.address().uri}, {"__log", "/dev/null"},  // otherwise it makes folders in the user's home
-    };
-    ::ros::init(
-        settings, "iotcloud_turtle",
-        ::ros::init_options::NoSigintHandler | ::ros::init_options::AnonymousName | ::ros::init_options::NoRosout);
-    ::ros::master::init(settings);
-    const ::ros::WallDuration limit(std::chrono::duration<double>(call_limit).count());
-    ::ros::master::setRetryTimeout(limit);
-    thread_ = std::thread([this] { run(); });
-  } catch (...) {
-    taken = false;
-    throw;
-  }
+  thread_ = std::thread([this] { run(); });
 }
 
 RosNode::Impl::~Impl() {
   ending_ = true;
   thread_.join();
-  taken = false;
 }
 
 void RosNode::Impl::publish(double linear, double angular) {
@@ -191,8 +148,7 @@ void RosNode::Impl::run() {
         }
         next_tend = steady_clock::now() + tend_period;
       }
-      queue_.callAvailable(::ros::WallDuration(wait_s));
-      if (handle_ && !::ros::ok()) throw std::runtime_error("the ROS node was told to shut down (rosnode kill)");
+      graph_.work();
     }
   } catch (const std::exception& e) {
     events_.on_failed(e.what());
@@ -205,11 +161,11 @@ std::string RosNode::Impl::tend() {
   const std::string problem = master_.unreachable();
   if (!problem.empty()) {
     announced_ = false;
-    return handle_ ? at.substr(1) + " is away (" + problem + "); what is connected goes on"
-                   : "waits for" + at + ": " + problem;
+    return graph_.has_joined() ? at.substr(1) + " is away (" + problem + "); what is connected goes on"
+                               : "waits for" + at + ": " + problem;
   }
-  if (!handle_) join_graph();
-  const std::string& name = ::ros::this_node::getName();
+  if (!graph_.has_joined()) join_graph();
+  const std::string& name = Graph::name();
   if (announced_) announced_ = master_.knows(name) == Master::Known::yes && hears_all();
   const bool images_ended = images_.end_if_silent();
   const bool odometry_ended = odometry_.end_if_silent();
@@ -221,11 +177,9 @@ std::string RosNode::Impl::tend() {
 
 /// Called when the master answers for the first time.
 void RosNode::Impl::join_graph() {
-  ::ros::start();
-  handle_ = std::make_unique<::ros::NodeHandle>();
-  handle_->setCallbackQueue(&queue_);
+  graph_.join();
   if (topics_.velocity.empty()) return;
-  const auto velocity = handle_->advertise<geometry_msgs::Twist>(topics_.velocity, 1);
+  const auto velocity = graph_.handle().advertise<geometry_msgs::Twist>(topics_.velocity, 1);
   const std::lock_guard lock(mutex_);
   velocity_ = velocity;
 }
@@ -235,7 +189,7 @@ void RosNode::Impl::join_graph() {
 bool RosNode::Impl::announce() {
   const auto hints = ::ros::TransportHints().tcpNoDelay();
   if (!images_.subscriber && !topics_.depth.empty()) {
-    images_.set(handle_->subscribe<sensor_msgs::Image>(
+    images_.set(graph_.handle().subscribe<sensor_msgs::Image>(
         topics_.depth, 1,
         [this](const sensor_msgs::ImageConstPtr& image) {
           images_.heard = steady_clock::now();
@@ -244,7 +198,7 @@ bool RosNode::Impl::announce() {
         {}, hints));
   }
   if (!odometry_.subscriber && !topics_.odometry.empty()) {
-    odometry_.set(handle_->subscribe<nav_msgs::Odometry>(
+    odometry_.set(graph_.handle().subscribe<nav_msgs::Odometry>(
         topics_.odometry, 10,
         [this](const nav_msgs::OdometryConstPtr& where) {
           odometry_.heard = steady_clock::now();
@@ -252,8 +206,8 @@ bool RosNode::Impl::announce() {
         },
         {}, hints));
   }
-  const std::string& name = ::ros::this_node::getName();
-  const std::string uri = ::ros::XMLRPCManager::instance()->getServerURI();
+  const std::string& name = Graph::name();
+  const std::string uri = Graph::uri();
   const auto read = [&](const ReadTopic& read_topic, const TopicRecord& topic) {
     return read_topic.subscriber && master_.register_subscriber(name, topic, uri);
   };
@@ -297,16 +251,13 @@ void RosNode::Impl::leave_graph() {
     velocity = std::exchange(velocity_, {});
     last = last_published_;
   }
-  if (!handle_) return;
+  if (!graph_.has_joined()) return;
   // The last command stops the robot. roscpp passes it to the kernel soon, but does not say when.
   std::this_thread::sleep_until(last + flush_time);
-  // roscpp's farewell calls have no time limit: if the master does not answer, send them to an address that refuses.
-  if (!master_.unreachable().empty()) ::ros::master::init({{"__master", nowhere}});
-  ::ros::shutdown();
+  graph_.leave();
   images_ = {};
   odometry_ = {};
   velocity = {};
-  handle_.reset();
 }
 
 }  // namespace iotcloud::drivers::turtle::ros

@@ -7,7 +7,7 @@
 #include <memory>
 #include <string>
 
-#include <iotcloud/drivers/turtle/ros/master.h>
+#include <iotcloud/drivers/ros/master.h>
 
 /// Hides all ROS headers. This header is C++17, because ROS 1's messages do not compile as C++20.
 namespace iotcloud::drivers::turtle::ros {
@@ -18,9 +18,6 @@ struct NodeTopics {
   std::string velocity;  ///< geometry_msgs/Twist, the node publishes it
   std::string odometry;  ///< nav_msgs/Odometry, the node reads it
 };
-
-/// \return empty if `name` may be a topic's name, otherwise what is wrong with it.
-std::string problem_of_topic(const std::string& name);
 
 /// A sensor_msgs/Image, valid during the call that passes it.
 struct NodeImage {
@@ -57,7 +54,7 @@ class RosNode {
  public:
   /// Returns at once; neither master nor topics need to exist. \throws std::runtime_error if this process has a node
   /// already.
-  RosNode(MasterAddress master, NodeTopics topics, NodeEvents events);
+  RosNode(drivers::ros::MasterAddress master, NodeTopics topics, NodeEvents events);
   /// Leaves the ROS graph within a few seconds, whatever the master does.
   ~RosNode();
   RosNode(const RosNode&) = delete;

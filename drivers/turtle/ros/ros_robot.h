@@ -17,7 +17,7 @@
 namespace iotcloud::drivers::turtle::ros {
 
 struct RosOptions {
-  MasterAddress master;
+  drivers::ros::MasterAddress master;
   NodeTopics topics;
   std::chrono::microseconds period{0};  ///< images that come sooner than this after the last one are left out
 };

@@ -1,4 +1,3 @@
-#include <cstdlib>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -9,14 +8,9 @@ namespace iotcloud::drivers::turtle::ros {
 
 namespace {
 
-std::string default_master() {
-  const char* uri = std::getenv("ROS_MASTER_URI");
-  return uri != nullptr && *uri != '\0' ? uri : "http://localhost:11311";
-}
-
 std::string read_topic(PropertyReader& reader, const std::string& property, const std::string& fallback) {
   std::string topic = reader.text(property, fallback);
-  if (const std::string problem = problem_of_topic(topic); !topic.empty() && !problem.empty()) {
+  if (const std::string problem = drivers::ros::problem_of_topic(topic); !topic.empty() && !problem.empty()) {
     throw std::invalid_argument("property \"" + property + "\" is \"" + topic +
                                 "\"; it takes the name of a ROS topic: " + problem);
   }
@@ -26,7 +20,7 @@ std::string read_topic(PropertyReader& reader, const std::string& property, cons
 RosOptions read_ros_options(PropertyReader& reader, const TurtleOptions& common, DeviceParts parts) {
   RosOptions options;
   options.period = common.period();
-  options.master = parse_master_address(reader.text("ros_master", default_master()));
+  options.master = drivers::ros::parse_master_address(reader.text("ros_master", drivers::ros::default_master()));
   options.topics = {read_topic(reader, "depth_topic", "/camera/depth/image_raw"),
                     read_topic(reader, "velocity_topic", "/cmd_vel"), read_topic(reader, "odometry_topic", "")};
   if (!parts.source) options.topics.depth.clear();

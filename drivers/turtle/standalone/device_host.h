@@ -39,6 +39,9 @@ class DeviceHost final : public HostInterface {
   void log(LogLevel level, std::string_view text) noexcept override;
   void fail(std::string_view reason) noexcept override;
   void update_metadata(const PropertyMap&) noexcept override {}
+  void report_found(std::string_view, const PropertyMap&) noexcept override {}
+  void report_gone(std::string_view) noexcept override {}
+  void report_sight(bool) noexcept override {}
 
  private:
   struct Handler;

@@ -7,8 +7,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include "iotcloud/tests/brokers/activemq/tampering_proxy.h"
 #include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/brokers/tampering_proxy.h"
 #include "iotcloud/tests/servers/private_server.h"
 #include <iotcloud/config/metrics.h>
 

@@ -45,9 +45,10 @@ TEST(ActiveMqLink, BeginsAlthoughTheLoopLookedAtItBefore) {
   options.urls = {"activemq://127.0.0.1:1"};
   const std::vector<BrokerUrl> urls{parse_broker_url(options.urls.front())};
   ConnectionLog log(options.urls.front());
+  ServerTrust trust("", "");
   IoLoop loop(config::system_clock());
   config::Mutex mutex;
-  CountingLink link(mutex, loop, options, urls, "test", log);
+  CountingLink link(mutex, loop, options, urls, "test", log, trust);
   loop.start({&link});
   link.wake_loop();
   loop.wake();  // it looks again, and then sleeps

@@ -17,7 +17,9 @@
 #include <librdkafka/rdkafka.h>
 
 #include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/brokers/tampering_proxy.h"
 #include "iotcloud/tests/captured_log.h"
+#include "iotcloud/tests/servers/free_port.h"
 #include "iotcloud/tests/servers/private_server.h"
 
 namespace iotcloud::brokers {
@@ -38,6 +40,7 @@ struct Destroy {
   void operator()(rd_kafka_event_t* event) const { rd_kafka_event_destroy(event); }
   void operator()(rd_kafka_NewTopic_t* topic) const { rd_kafka_NewTopic_destroy(topic); }
   void operator()(rd_kafka_DeleteTopic_t* topic) const { rd_kafka_DeleteTopic_destroy(topic); }
+  void operator()(rd_kafka_ConfigResource_t* which) const { rd_kafka_ConfigResource_destroy(which); }
   void operator()(rd_kafka_AclBinding_t* binding) const { rd_kafka_AclBinding_destroy(binding); }
 };
 template <typename T>
@@ -120,9 +123,11 @@ class Attempts {
     rd_kafka_consumer_close(client.get());
     return answer;
   }
-  std::string make_topic(const std::string& name) const {
+  using Settings = std::initializer_list<std::pair<const char*, std::string>>;
+  std::string make_topic(const std::string& name, Settings settings = {}) const {
     std::array<char, 512> problem{};
     const Owned<rd_kafka_NewTopic_t> topic(rd_kafka_NewTopic_new(name.c_str(), 1, 1, problem.data(), problem.size()));
+    for (const auto& [setting, value] : settings) rd_kafka_NewTopic_set_config(topic.get(), setting, value.c_str());
     auto* const which = topic.get();
     return ask([&](rd_kafka_t* client, rd_kafka_queue_t* queue) {
       std::array topics{which};
@@ -148,9 +153,16 @@ class Attempts {
     });
   }
 
- private:
-  using Settings = std::initializer_list<std::pair<const char*, std::string>>;
+  /// A topic's settings, a line each.
+  std::string settings_of(const std::string& topic) const {
+    const Owned<rd_kafka_ConfigResource_t> which(rd_kafka_ConfigResource_new(RD_KAFKA_RESOURCE_TOPIC, topic.c_str()));
+    return ask([&](rd_kafka_t* client, rd_kafka_queue_t* queue) {
+      std::array topics{which.get()};
+      rd_kafka_DescribeConfigs(client, topics.data(), 1, nullptr, queue);
+    });
+  }
 
+ private:
   static void on_report(rd_kafka_t*, const rd_kafka_message_t* message, void*) {
     if (message->_private != nullptr) *static_cast<std::string*>(message->_private) = text_of(message->err);
   }
@@ -175,6 +187,17 @@ class Attempts {
     if (type == RD_KAFKA_PRODUCER) rd_kafka_conf_set_dr_msg_cb(settings, on_report);
     return Owned<rd_kafka_t>(rd_kafka_new(type, settings, problem.data(), problem.size()));
   }
+  static std::string lines_of(const rd_kafka_DescribeConfigs_result_t* settings) {
+    std::size_t count = 0;
+    const auto* const topic = rd_kafka_DescribeConfigs_result_resources(settings, &count)[0];
+    const auto* const* const entries = rd_kafka_ConfigResource_configs(topic, &count);
+    std::string lines;
+    for (std::size_t i = 0; i < count; ++i) {
+      const char* const value = rd_kafka_ConfigEntry_value(entries[i]);
+      lines += std::string(rd_kafka_ConfigEntry_name(entries[i])) + "=" + (value == nullptr ? "" : value) + "\n";
+    }
+    return lines;
+  }
   /// Has a request of an administrator answered.
   std::string ask(const std::function<void(rd_kafka_t*, rd_kafka_queue_t*)>& request) const {
     const auto client = make(RD_KAFKA_PRODUCER, {});
@@ -189,6 +212,7 @@ class Attempts {
       return text_of(rd_kafka_topic_result_error(rd_kafka_CreateTopics_result_topics(made, &count)[0]));
     if (const auto* removed = rd_kafka_event_DeleteTopics_result(event.get()))
       return text_of(rd_kafka_topic_result_error(rd_kafka_DeleteTopics_result_topics(removed, &count)[0]));
+    if (const auto* settings = rd_kafka_event_DescribeConfigs_result(event.get())) return lines_of(settings);
     const auto* rules = rd_kafka_event_CreateAcls_result(event.get());
     return rules == nullptr ? "another answer"
                             : text_of(rd_kafka_error_code(
@@ -202,7 +226,10 @@ class Attempts {
 class KafkaUsers : public testing::Test {
  protected:
   static void SetUpTestSuite() {
-    server_ = new tests::PrivateServer("kafka.py", {"--users", "--partitions", "2"});
+    telling_port_ = tests::free_port();
+    told_port_ = tests::free_port();
+    server_ = new tests::PrivateServer("kafka.py", {"--users", "--partitions", "2", "--listener",
+                                                    std::to_string(telling_port_) + ":" + std::to_string(told_port_)});
     std::ofstream(password_file()) << password << '\n';
   }
   static void TearDownTestSuite() { delete std::exchange(server_, nullptr); }
@@ -216,8 +243,12 @@ class KafkaUsers : public testing::Test {
     return options;
   }
   static tests::PrivateServer* server_;
+  /// Where the server tells its clients to go on at the other one.
+  static int telling_port_, told_port_;
 };
 tests::PrivateServer* KafkaUsers::server_ = nullptr;
+int KafkaUsers::telling_port_ = 0;
+int KafkaUsers::told_port_ = 0;
 
 TEST_F(KafkaUsers, GatewaysAndWorkersGetEachOthersMessages) {
   const auto gateway = make_broker(options_of("gateway-1")), workers = make_broker(options_of("workers"));
@@ -264,6 +295,32 @@ TEST_F(KafkaUsers, TheThiefOfAGatewayWhoSendsWithoutEndHasToWaitAndOthersGoOn) {
   EXPECT_TRUE(thief.flood(sends.get(), "gateway-1.turtle.flood"));
   EXPECT_EQ(other.publish("gateway-2.turtle.data"), "ok");
   rd_kafka_purge(sends.get(), RD_KAFKA_PURGE_F_QUEUE | RD_KAFKA_PURGE_F_INFLIGHT);
+}
+
+/// SECURITY.md, "Floods".
+TEST_F(KafkaUsers, TheThiefOfAGatewayMakesTopicsBelowItsNameAndNobodyCountsThemOrWhatTheyKeep) {
+  const Attempts thief(server_->url(), "gateway-1");
+  for (int number = 0; number < 20; ++number)
+    ASSERT_EQ(thief.make_topic("gateway-1.many" + std::to_string(number)), "ok") << number;
+  const std::string greedy = "gateway-1.greedy";
+  EXPECT_EQ(thief.make_topic(greedy, {{"retention.ms", "-1"}, {"retention.bytes", "-1"}}), "ok");
+  EXPECT_THAT(thief.settings_of(greedy),
+              testing::AllOf(testing::HasSubstr("\nretention.ms=-1\n"), testing::HasSubstr("\nretention.bytes=-1\n")))
+      << "for ever, and without an end";
+}
+
+/// SECURITY.md: whoever has a place in the network of docker-compose.yml.
+TEST_F(KafkaUsers, AListenerOnTheWayHearsPasswordsAndMessages) {
+  const tests::TamperingProxy listener(static_cast<std::uint16_t>(telling_port_),
+                                       static_cast<std::uint16_t>(told_port_));
+  BrokerOptions options = options_of("gateway-2");
+  options.urls = {"kafka://127.0.0.1:" + std::to_string(telling_port_)};
+  const auto gateway = make_broker(options);
+  const auto sends = gateway->publisher({"", "gateway-2.turtle.heard", false}, {});
+  sends->publish(text_message("what the robot sees"));
+  EXPECT_TRUE(sends->drain(patience));
+  EXPECT_THAT(listener.heard(),
+              testing::AllOf(testing::HasSubstr(password), testing::HasSubstr("what the robot sees")));
 }
 
 TEST_F(KafkaUsers, TheThiefOfAGatewayHasNoUseOfWhatIsOpenOnceTheGatewayIsCutOff) {

@@ -148,7 +148,10 @@ class RabbitMqConnectionLife : public testing::Test, protected ConnectionLife::O
     note("open " + std::to_string(server));
     in_open(server);
   }
-  void opened() override { note("opened"); }
+  std::shared_ptr<ShownChain> opened() override {
+    note("opened");
+    return nullptr;
+  }
   void serve(ConnectionLife::Readiness /*ready*/) override {
     mutex_.assert_held();
     ++served_;

@@ -1,5 +1,6 @@
 // What the users of docker-compose.yml may do at RabbitMQ, and what a thief of one gateway's two users tries there.
 #include <array>
+#include <cstdint>
 #include <cstdio>
 #include <fstream>
 #include <memory>
@@ -16,6 +17,7 @@
 #include "iotcloud/brokers/broker_url.h"
 #include "iotcloud/brokers/rabbitmq/wire/amqp_link.h"
 #include "iotcloud/tests/brokers/contract_fixture.h"
+#include "iotcloud/tests/brokers/tampering_proxy.h"
 #include "iotcloud/tests/servers/private_server.h"
 
 namespace iotcloud::brokers {
@@ -27,13 +29,15 @@ using testing::HasSubstr;
 constexpr const char* password = "sesame";
 constexpr const char* exchange = "amq.topic";
 
-/// RabbitMQ's definitions of the users, as deploy/cluster/cluster.py makes them, but for how many queues there may be.
+/// RabbitMQ's definitions of the users, as deploy/cluster/cluster.py makes them, but for how many queues there may be
+/// and how much each may hold.
 std::string definitions(const std::string& password_of_workers = password) {
-  const std::string command =
-      std::string("/usr/bin/python3 -c 'import sys; sys.path.insert(0, \"") + IOTCLOUD_TEST_SERVERS +
-      "/../../deploy/cluster\"); import cluster; "
-      "cluster.MOST_QUEUES = 60; print(cluster.rabbitmq_users({**dict.fromkeys(cluster.RABBITMQ_USERS, \"" +
-      password + "\"), \"workers\": \"" + password_of_workers + "\"}))'";
+  const std::string command = std::string("/usr/bin/python3 -c 'import sys; sys.path.insert(0, \"") +
+                              IOTCLOUD_TEST_SERVERS +
+                              "/../../deploy/cluster\"); import cluster; "
+                              "cluster.MOST_QUEUES = 60; cluster.QUEUE_LIMITS[\"max-length-bytes\"] = 32 << 20; "
+                              "print(cluster.rabbitmq_users({**dict.fromkeys(cluster.RABBITMQ_USERS, \"" +
+                              password + "\"), \"workers\": \"" + password_of_workers + "\"}))'";
   const std::unique_ptr<FILE, int (*)(FILE*)> output(popen(command.c_str(), "r"), pclose);
   std::string text;
   std::array<char, 4096> piece{};
@@ -49,7 +53,17 @@ Connection log_in(const std::string& url, const char* user, const char* by = pas
   Connection connection(amqp_new_connection(), amqp_destroy_connection);
   amqp_socket_t* const socket = amqp_tcp_socket_new(connection.get());
   EXPECT_EQ(amqp_socket_open(socket, at.host.c_str(), at.port), AMQP_STATUS_OK);
-  const auto login = amqp_login(connection.get(), "/", 0, 131072, 0, AMQP_SASL_METHOD_PLAIN, user, by);
+  amqp_table_entry_t hears_of_alarms{};
+  hears_of_alarms.key = amqp_cstring_bytes("connection.blocked");
+  hears_of_alarms.value.kind = AMQP_FIELD_KIND_BOOLEAN;
+  hears_of_alarms.value.value.boolean = 1;
+  amqp_table_entry_t capabilities{};
+  capabilities.key = amqp_cstring_bytes("capabilities");
+  capabilities.value.kind = AMQP_FIELD_KIND_TABLE;
+  capabilities.value.value.table = {1, &hears_of_alarms};
+  const amqp_table_t properties{1, &capabilities};
+  const auto login =
+      amqp_login_with_properties(connection.get(), "/", 0, 131072, 0, &properties, AMQP_SASL_METHOD_PLAIN, user, by);
   if (login.reply_type != AMQP_RESPONSE_NORMAL) connection.reset();
   return connection;
 }
@@ -75,6 +89,12 @@ class Attempts {
                        {static_cast<int>(table.size()), table.data()});
     return outcome();
   }
+  /// A queue of which the server keeps on its disk what is to be kept.
+  std::string declare_durable(const std::string& queue) {
+    open();
+    amqp_queue_declare(connection_, channel_, to_bytes(queue), 0, 1, 0, 0, amqp_empty_table);
+    return outcome();
+  }
   std::string declare_exchange(const std::string& name, const Arguments& arguments = {}) {
     open();
     auto table = as_table(arguments);
@@ -98,14 +118,20 @@ class Attempts {
     const auto* const removed = amqp_queue_delete(connection_, channel_, to_bytes(queue), 0, 0);
     return outcome() == "ok" && removed != nullptr ? static_cast<int>(removed->message_count) : -1;
   }
-  /// "full": a queue takes no more.
-  std::string publish(const std::string& to, const std::string& key, const std::string& body = "forged") {
+  /// "full": a queue takes no more; "blocked": the server takes nothing from anybody.
+  std::string publish(const std::string& to, const std::string& key, const std::string& body = "forged",
+                      bool kept = false) {
     open();
     amqp_confirm_select(connection_, channel_);
     EXPECT_EQ(outcome(), "ok");
-    amqp_basic_publish(connection_, channel_, to_bytes(to), to_bytes(key), 0, 0, nullptr, to_bytes(body));
+    amqp_basic_properties_t properties{};
+    properties._flags = kept ? AMQP_BASIC_DELIVERY_MODE_FLAG : 0;
+    properties.delivery_mode = AMQP_DELIVERY_PERSISTENT;
+    amqp_basic_publish(connection_, channel_, to_bytes(to), to_bytes(key), 0, 0, &properties, to_bytes(body));
     amqp_frame_t answer{};
     while (amqp_simple_wait_frame(connection_, &answer) == AMQP_STATUS_OK) {
+      if (answer.frame_type == AMQP_FRAME_METHOD && answer.payload.method.id == AMQP_CONNECTION_BLOCKED_METHOD)
+        return "blocked";
       if (answer.frame_type != AMQP_FRAME_METHOD || answer.channel != channel_) continue;
       if (answer.payload.method.id == AMQP_BASIC_ACK_METHOD) return "ok";
       if (answer.payload.method.id == AMQP_BASIC_NACK_METHOD) return "full";
@@ -117,6 +143,21 @@ class Attempts {
     open();
     amqp_basic_consume(connection_, channel_, to_bytes(queue), amqp_empty_bytes, 0, 1, 0, amqp_empty_table);
     return outcome();
+  }
+  /// Reads a queue from now on, and acknowledges nothing.
+  std::string hold(const std::string& queue) {
+    open();
+    amqp_basic_consume(connection_, channel_, to_bytes(queue), amqp_empty_bytes, 0, 0, 0, amqp_empty_table);
+    return outcome();
+  }
+  /// Waits for a message of what it reads.
+  bool takes_one() {
+    amqp_envelope_t message{};
+    amqp_maybe_release_buffers(connection_);
+    const timeval limit{60, 0};
+    const bool came = amqp_consume_message(connection_, &message, &limit, 0).reply_type == AMQP_RESPONSE_NORMAL;
+    if (came) amqp_destroy_envelope(&message);
+    return came;
   }
 
  private:
@@ -252,6 +293,22 @@ TEST_F(RabbitMqUsers, TheThiefOfAGatewayFillsNoQueueBeyondALimitAndOthersGoOn) {
   EXPECT_EQ(reader.remove(own), taken) << "none that was taken is lost";
 }
 
+/// SECURITY.md, "Floods": the server counts in no queue's length what it has given to a reader.
+TEST_F(RabbitMqUsers, TheThiefOfAGatewayWhoReadsAndAcknowledgesNothingHasMoreThanAQueueMayHold) {
+  const std::string own = "gateway-1.turtle.held", megabyte(1 << 20, 'x');
+  constexpr int more_than_a_queue_holds = 40;  // megabytes
+  Attempts writer(server_->url(), "gateway-1"), reader(server_->url(), "gateway-1-reads");
+  ASSERT_EQ(reader.declare(own), "ok");
+  ASSERT_EQ(reader.bind(own, exchange, own), "ok");
+  ASSERT_EQ(reader.hold(own), "ok");
+  for (int sent = 0; sent < more_than_a_queue_holds; ++sent) {
+    ASSERT_EQ(writer.publish(exchange, own, megabyte), "ok") << sent;
+    ASSERT_TRUE(reader.takes_one()) << sent;
+  }
+  Attempts remover(server_->url(), "gateway-1-reads");
+  EXPECT_EQ(remover.remove(own), 0) << "so many messages does the server say that it has";
+}
+
 TEST_F(RabbitMqUsers, TheThiefOfAGatewayTakesNoConnectionsChannelsOrQueuesWithoutEnd) {
   const auto data = Topic{exchange, "gateway-2.turtle.two.early", false};
   Inbox inbox;
@@ -285,6 +342,9 @@ TEST_F(RabbitMqUsers, TheThiefOfAGatewayTakesNoConnectionsChannelsOrQueuesWithou
   int queues = 0;
   while (queues < 100 && answer == "ok") answer = reader.declare("gateway-1.many" + std::to_string(++queues), {}, true);
   EXPECT_THAT(answer, HasSubstr("queue limit"));
+  Attempts late(server_->url(), "workers");
+  EXPECT_THAT(late.declare("gateway-2.turtle.two.late"), HasSubstr("queue limit"))
+      << "SECURITY.md says that it takes all";
   publish_numbers(*sends, 4, 6);
   EXPECT_TRUE(inbox.wait_for(6)) << "whoever has its queue goes on";
 }
@@ -333,6 +393,79 @@ TEST_F(RabbitMqUsers, TheThiefOfAWorkerReachesTheGatewaysQueuesAndKeysOnly) {
   EXPECT_THAT(worker.publish("amq.direct", queue), refused);
   EXPECT_THAT(worker.declare_exchange("lab.source"), refused);
   EXPECT_THAT(worker.bind_exchange(exchange, "amq.fanout", "#"), refused);
+}
+
+/// SECURITY.md: whoever has a place in the network, where something is sent without TLS.
+TEST_F(RabbitMqUsers, AListenerOnTheWayToThePlainPortHearsPasswordsAndMessages) {
+  const tests::TamperingProxy listener(static_cast<std::uint16_t>(parse_broker_url(server_->url()).port));
+  Attempts bench("amqp://127.0.0.1:" + std::to_string(listener.port()) + "/", "bench");
+  EXPECT_EQ(bench.publish(exchange, "bench.one", "what the benchmark sends"), "ok");
+  EXPECT_THAT(listener.heard(), testing::AllOf(HasSubstr(password), HasSubstr("what the benchmark sends")));
+}
+
+/// SECURITY.md, "Floods". The last test, because the server's disk stays small.
+TEST_F(RabbitMqUsers, TheThiefOfAGatewayFillsTheDiskAndAllWhoSendWaitUntilWhatItHasIsGone) {
+  const std::string body(4 << 20, 'x');
+  constexpr int megabytes = 150, most = 400;  // messages, if nobody stops it
+  const auto data = Topic{exchange, "gateway-2.turtle.two.spared", false};
+  Inbox inbox;
+  const auto gateway = broker_of("gateway-2", true), workers = broker_of("workers", false);
+  const auto reads = workers->subscribe(data, {}, inbox.handler());
+  const auto sends = gateway->publisher(data, {});
+  expect_arrivals(*sends, inbox, 1);
+  server_->command("disk " + std::to_string(megabytes), "DISK");
+  const auto others_wait_until = [&](const auto& relief, int number) {
+    sends->publish(text_message(std::to_string(number)));
+    EXPECT_FALSE(sends->drain(moment)) << "the attack";
+    relief();
+    EXPECT_TRUE(inbox.wait_for(static_cast<std::size_t>(number)));
+  };
+
+  // By many queues, none of which holds more than it may.
+  std::vector<std::string> queues;
+  {
+    Attempts writer(server_->url(), "gateway-1"), reader(server_->url(), "gateway-1-reads");
+    std::string answer = "full";
+    for (int sent = 0; sent < most && answer != "blocked"; ++sent) {
+      if (answer == "full") {
+        queues.push_back("gateway-1.filled" + std::to_string(sent));
+        ASSERT_EQ(reader.declare_durable(queues.back()), "ok");
+        ASSERT_EQ(reader.bind(queues.back(), exchange, queues.back()), "ok");
+      }
+      answer = writer.publish(exchange, queues.back(), body, true);
+    }
+    ASSERT_EQ(answer, "blocked");
+    EXPECT_GT(queues.size(), 1U);
+  }
+  others_wait_until(
+      [&] {
+        Attempts remover(server_->url(), "gateway-1-reads");
+        for (const auto& queue : queues) EXPECT_GE(remover.remove(queue), 0);
+      },
+      4);
+
+  // By one queue, whose reader acknowledges nothing.
+  const std::string held = "gateway-1.turtle.hoarded";
+  auto reader = std::make_unique<Attempts>(server_->url(), "gateway-1-reads");
+  {
+    Attempts writer(server_->url(), "gateway-1");
+    ASSERT_EQ(reader->declare_durable(held), "ok");
+    ASSERT_EQ(reader->bind(held, exchange, held), "ok");
+    ASSERT_EQ(reader->hold(held), "ok");
+    int sent = 0;
+    std::string answer;
+    while (sent < most && (answer = writer.publish(exchange, held, body, true)) == "ok") {
+      ASSERT_TRUE(reader->takes_one()) << sent;
+      ++sent;
+    }
+    ASSERT_EQ(answer, "blocked");
+  }
+  others_wait_until(
+      [&] {
+        reader.reset();
+        EXPECT_GE(Attempts(server_->url(), "gateway-1-reads").remove(held), 0);
+      },
+      5);
 }
 
 }  // namespace

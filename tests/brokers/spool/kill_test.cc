@@ -25,6 +25,7 @@
 #include <iotcloud/brokers/broker.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/long.h>
+#include <iotcloud/tests/temporary_folder.h>
 
 namespace iotcloud::brokers::spool {
 namespace {
@@ -131,7 +132,7 @@ TEST(SpoolKillTest, NothingThatWasAcceptedIsLostWhenTheProcessIsKilledAtAnyPoint
   std::mt19937 random(seed);
   const auto up_to = [&random](int most) { return std::uniform_int_distribution<int>(0, most)(random); };
 
-  TemporaryFolder folder;
+  tests::TemporaryFolder folder;
   tests::PrivateServer server("rabbitmq.py");
   const std::string topic = "spool.kill.test";
   BrokerOptions options;

@@ -18,6 +18,7 @@
 #include <iotcloud/brokers/embedded/server.h>
 #include <iotcloud/brokers/spool/spooled_publisher.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/tests/temporary_folder.h>
 
 namespace iotcloud::brokers::spool {
 
@@ -130,7 +131,7 @@ class SpoolPublisherTest : public testing::Test {
     return sum;
   }
 
-  TemporaryFolder folder_;
+  tests::TemporaryFolder folder_;
   TestDisk disk_;
   tests::HandClock clock_;
   config::Metrics metrics_;

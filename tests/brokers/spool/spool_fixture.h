@@ -16,28 +16,6 @@
 
 namespace iotcloud::brokers::spool {
 
-/// A folder that is removed after the test.
-class TemporaryFolder {
- public:
-  TemporaryFolder() {
-    std::string name = (std::filesystem::temp_directory_path() / "iotcloud-spool-XXXXXX").string();
-    if (mkdtemp(name.data()) == nullptr)
-      throw std::filesystem::filesystem_error(name, std::error_code(errno, std::generic_category()));
-    path_ = name;
-  }
-  TemporaryFolder(const TemporaryFolder&) = delete;
-  TemporaryFolder& operator=(const TemporaryFolder&) = delete;
-  ~TemporaryFolder() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
-  std::string operator/(const std::string& name) const { return path_ + "/" + name; }
-  const std::string& path() const { return path_; }
-
- private:
-  std::string path_;
-};
-
 /// A disk that can be full or stand still, and counts its syncs. Thread safe.
 class TestDisk : public Disk {
  public:

@@ -10,6 +10,7 @@
 #include "iotcloud/brokers/spool/store/spool_reader.h"
 #include "iotcloud/brokers/spool/store/spool_store.h"
 #include "iotcloud/tests/brokers/spool/spool_fixture.h"
+#include <iotcloud/tests/temporary_folder.h>
 
 namespace iotcloud::brokers::spool {
 
@@ -41,7 +42,7 @@ class SpoolStoreTest : public testing::Test {
     return all.empty() ? "" : all.front();
   }
 
-  TemporaryFolder folder_;
+  tests::TemporaryFolder folder_;
   TestDisk disk_;
 };
 

@@ -184,6 +184,28 @@ TEST(TurtleDriver, ignores_malformed_commands_and_logs_a_burst_once) {
   EXPECT_EQ(robot.host().logged_count("13 malformed"), 1);
 }
 
+TEST(TurtleDriver, tells_pages_which_frames_were_answered_and_where_all_is_in_a_simulation) {
+  MockInstance robot(turtle, {{"frames", "3"}});
+  ASSERT_TRUE(robot.start());
+  robot.host().advance(34ms);
+  const auto first = robot.host().published("kinect").at(0).message;
+  EXPECT_EQ(first.properties.find("answers"), nullptr);
+  double x = 0, y = 0, heading = 0, person_x = 0, person_y = 0, distance = 0;
+  ASSERT_NE(first.properties.find("truth"), nullptr);
+  ASSERT_EQ(std::sscanf(first.properties.find("truth")->c_str(), "%lf,%lf,%lf,%lf,%lf,%lf", &x, &y, &heading, &person_x,
+                        &person_y, &distance),
+            6);
+  EXPECT_NEAR(std::hypot(person_x - x, person_y - y), distance + 0.055, 0.002);  // to the person's surface
+  ASSERT_TRUE(robot.deliver("control", command(Velocity{0.1, 0}, first.time_ms)));
+  ASSERT_TRUE(robot.deliver("control", command(Velocity{0.1, 0}, first.time_ms)));  // again: no other answer
+  robot.host().advance(100ms);
+  const auto frames = robot.host().published("kinect");
+  ASSERT_EQ(frames.size(), 3);
+  ASSERT_NE(frames[1].message.properties.find("answers"), nullptr);
+  EXPECT_THAT(*frames[1].message.properties.find("answers"), ::testing::MatchesRegex("0:[0-9]+"));
+  EXPECT_EQ(frames[2].message.properties.find("answers"), nullptr);
+}
+
 TEST(TurtleDriver, measures_from_a_frame_to_the_command_that_carries_its_time) {
   ScratchFile trace("latency.csv");
   MockInstance robot(turtle, {{"trace", trace.path()}, {"frames", "3"}});

@@ -2,6 +2,7 @@
 #include <array>
 #include <atomic>
 #include <map>
+#include <memory>
 #include <set>
 #include <stdexcept>
 #include <string>
@@ -16,8 +17,11 @@
 #include <sys/wait.h>
 #include <unistd.h>
 
+#include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/file_stamp.h>
 #include <iotcloud/processes/landlock.h>
+#include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/gateway/fleet/process_fixture.h>
@@ -28,7 +32,10 @@ namespace iotcloud::gateway {
 namespace {
 
 using discovery::DriverState;
+using ::testing::AllOf;
+using ::testing::Contains;
 using ::testing::HasSubstr;
+using ::testing::Pair;
 namespace fs = std::filesystem;
 
 class ConfinedHosts : public ProcessTest {
@@ -41,15 +48,23 @@ class ConfinedHosts : public ProcessTest {
     return facts_here(std::move(properties));
   }
   /// The same, at the gateway that runs.
-  std::map<std::string, std::string> facts_here(std::map<std::string, std::string> properties) {
-    give(quiet("a", "confined.so", std::move(properties)));
-    EXPECT_TRUE(comes_to("a", DriverState::active, "confined"));
+  std::map<std::string, std::string> facts_here(std::map<std::string, std::string> properties,
+                                                const std::string& instance = "a") {
+    give(quiet(instance, "confined.so", std::move(properties)));
+    EXPECT_TRUE(comes_to(instance, DriverState::active, "confined"));
     EXPECT_TRUE(eventually([&] {
-      const auto now = record("a", "confined");
+      const auto now = record(instance, "confined");
       return now && now->metadata.contains("user");
     }));
-    const auto now = record("a", "confined");
+    const auto now = record(instance, "confined");
     return now ? now->metadata : std::map<std::string, std::string>{};
+  }
+  /// The copy that hosts get of the only file in broker_files_.
+  fs::path only_broker_file() const {
+    std::vector<fs::path> copies;
+    for (const auto& entry : fs::directory_iterator(state_ / "broker-files")) copies.push_back(entry.path());
+    EXPECT_EQ(copies.size(), 1u);
+    return copies.empty() ? fs::path() : copies.front();
   }
 };
 
@@ -220,6 +235,24 @@ TEST_F(ConfinedHosts, AskForNamesByTcp) {
   EXPECT_EQ(names.asked(), 1);
 }
 
+/// SECURITY.md: a local socket has no port, and a service that answers there asks for names, say, in a host's place.
+TEST_F(ConfinedHosts, ThatMayConnectToNoPortAskAServiceOfTheirMachineAtItsLocalSocket) {
+  if (processes::landlock_version() < processes::landlock_of_connections)
+    GTEST_SKIP() << "this kernel cannot restrict connections";
+  const auto service = processes::listen_in(folder_, "names");
+  std::jthread answers([&] {
+    const int client = accept(service.get(), nullptr, nullptr);
+    EXPECT_EQ(send(client, "192.0.2.7", 9, MSG_NOSIGNAL), 9);
+    close(client);
+  });
+  // However the test ends and if nobody came, too: nobody is waited for any more.
+  const std::shared_ptr<void> over(nullptr, [&](void*) { shutdown(service.get(), SHUT_RDWR); });
+  confinement_.no_new_privileges = confinement_.filter_calls = true;
+  confinement_.files.emplace();
+  ports_ = {{"all", {9}}};
+  EXPECT_EQ(facts({{"local_service", folder_ / "names"}})["local_service"], "192.0.2.7");
+}
+
 TEST_F(ConfinedHosts, ReachOnlyTheFilesThatTheyMay) {
   if (processes::landlock_version() == 0) GTEST_SKIP() << "this kernel has no Landlock";
   const auto secret = tests::write_file(folder_ / "tokens", "anna:admin:...");
@@ -240,7 +273,12 @@ TEST_F(ConfinedHosts, ReachOnlyTheFilesThatTheyMay) {
   EXPECT_EQ(found["program"], "ok");
   const bool signals_too = processes::landlock_version() >= 6;
   EXPECT_EQ(found["signal_to_parent"], signals_too ? "EPERM" : "ok");
+  // Devices are there for all that the kernel lets their user do.
+  found = facts_here({{"secret_file", "/dev/zero"}, {"forbidden_file", "/dev/full"}}, "b");
+  EXPECT_EQ(found["secret_file"], "ok");
+  EXPECT_EQ(found["forbidden_file"], "ok");
   take_back("a");
+  take_back("b");
   gateway_.reset();
   confinement_.files = processes::FileAccess{{secret}, {shared}};
   found = facts({{"secret_file", secret}, {"forbidden_file", shared / "new"}});
@@ -269,6 +307,60 @@ TEST_F(ConfinedHosts, ReachSpoolsAndLogsInTheStateFolderAndNothingElseThere) {
   give(order("b", {{"channel.readings.when_full", "spool"}}));
   EXPECT_TRUE(comes_to("b", DriverState::active));
   EXPECT_TRUE(eventually([&] { return fs::exists(state_ / "spool/b/readings"); }));
+}
+
+TEST_F(ConfinedHosts, ReadABrokersFileThatReplacedTheOneOfTheirStart) {
+  if (processes::landlock_version() == 0) GTEST_SKIP() << "this kernel has no Landlock";
+  const fs::path list = tests::write_file(folder_ / "revoked.pem", "the list of the start");
+  const auto replace = [&] { config::replace_file(list, "a renewed list", 0600); };
+  confinement_.no_new_privileges = true;
+  confinement_.files = processes::FileAccess{{list}, {}};
+  EXPECT_EQ(facts({{"secret_file", list}})["secret_file"], "ok");
+  replace();
+  EXPECT_EQ(facts_here({{"secret_file", list}}, "b")["secret_file"], "EACCES") << "the kernel looks at the file";
+  take_back("a");
+  take_back("b");
+  gateway_.reset();
+  confinement_.files.emplace();
+  broker_files_ = {list};
+  start_gateway();
+  const auto copy = only_broker_file();
+  EXPECT_EQ(facts_here({{"secret_file", copy}})["secret_file"], "ok");
+  replace();
+  launcher_->renew_broker_files();
+  EXPECT_EQ(tests::read_file(copy), "a renewed list");
+  EXPECT_EQ(facts_here({{"secret_file", copy}}, "b")["secret_file"], "ok");
+  EXPECT_EQ(sockets().size(), 1u) << "in the same host";
+}
+
+TEST_F(ConfinedHosts, WhoseBrokersFilesAreOthersNowAreNotAdopted) {
+  const auto before = tests::write_file(folder_ / "before.pem", "an authority");
+  const auto now = tests::write_file(folder_ / "now.pem", "an authority");
+  for (const bool confined_now : {true, false}) {
+    confinement_.no_new_privileges = true;
+    confinement_.files.emplace();
+    broker_files_ = {before};
+    const int host = host_without_gateway(before);
+    ASSERT_GT(host, 0);
+    EXPECT_EQ(new_launcher()->running("gw"_gateway).size(), 1U) << "nothing is changed";
+    broker_files_ = {now};
+    if (!confined_now) confinement_.files.reset();
+    const auto launcher = new_launcher();
+    const tests::CapturedLog log;
+    ASSERT_TRUE(launcher->running("gw"_gateway).empty());
+    EXPECT_TRUE(log.contains("its brokers' files are others now"));
+    EXPECT_TRUE(eventually([&] { return waitpid(host, nullptr, WNOHANG) == host; })) << "it was not killed";
+  }
+}
+
+TEST_F(ConfinedHosts, LeaveNoCopiesOfPasswordsToAGatewayThatDoesNotConfineThemToFilesAnyMore) {
+  confinement_.files.emplace();
+  broker_files_ = {tests::write_file(folder_ / "password", "sesame")};
+  new_launcher();
+  EXPECT_TRUE(fs::exists(state_ / "broker-files"));
+  confinement_.files.reset();
+  new_launcher();
+  EXPECT_FALSE(fs::exists(state_ / "broker-files"));
 }
 
 /// SECURITY.md: all hosts of a gateway have one user, and what `host_files` leaves them has all spools in it.
@@ -329,6 +421,26 @@ TEST_F(HostsOfAnotherUser, AreNotRootAndCannotBecomeIt) {
   EXPECT_EQ(found["groups_of_root"], "no");
   EXPECT_EQ(found["root_again"], "EPERM");
   EXPECT_EQ(found["forbidden_file"], "EACCES") << "the state folder is the gateway's";
+}
+
+TEST_F(HostsOfAnotherUser, ReadWhatReplacedABrokersFileAndOthersDoNot) {
+  if (processes::landlock_version() == 0) GTEST_SKIP() << "this kernel has no Landlock";
+  const fs::path password = tests::write_file(folder_ / "password", "sesame");
+  chmod(password.c_str(), 0600);  // which only the gateway could read
+  confinement_.no_new_privileges = true;
+  confinement_.files.emplace();
+  broker_files_ = {password};
+  start_gateway();
+  config::replace_file(password, "open sesame", 0600);
+  launcher_->renew_broker_files();
+  const auto copy = only_broker_file();
+  EXPECT_THAT(facts_here({{"secret_file", copy}, {"forbidden_file", state_ / "broker-files/new"}}),
+              AllOf(Contains(Pair("secret_file", "ok")), Contains(Pair("forbidden_file", "EACCES"))));
+  EXPECT_EQ(tests::read_file(copy), "open sesame");
+  EXPECT_EQ(fs::status(copy).permissions(), fs::perms::owner_read | fs::perms::owner_write | fs::perms::group_read);
+  const auto stamp = config::stamp_of(copy);
+  new_launcher();
+  EXPECT_EQ(config::stamp_of(copy), stamp) << "a gateway that starts again changes nothing for its hosts";
 }
 
 /// What a host does to its gateway, if it has its gateway's user and `host_files` is not set.

@@ -335,6 +335,16 @@ TEST_F(HostsWithANetwork, HaveTheirGatewaysPlacesIfTheDeploymentNamesNone) {
       << "a deployment gives no more than its gateway";
 }
 
+/// SECURITY.md: as one that an earlier version of the gateway sees in `network`.
+TEST_F(HostsWithANetwork, AreNotRestrictedByAPropertyThatTheirGatewayDoesNotKnow) {
+  const tests::LoopbackListener other;
+  confine_hosts();
+  const auto port = std::to_string(other.port());
+  EXPECT_EQ(facts({{"network_by_another_name", "camera-1:554"}, {"port", port}})["port"], "ok");
+  end();
+  EXPECT_EQ(facts({{"network", "127.0.0.1:554"}, {"port", port}})["port"], "EACCES");
+}
+
 TEST_F(HostsWithANetwork, AreNotStartedWhereTheyWouldGetAroundIt) {
   const Properties asks{{"network", "camera-1:554"}};
   EXPECT_THAT(reason(asks), AllOf(HasSubstr("`network`"), HasSubstr("host_call_filter: true")));

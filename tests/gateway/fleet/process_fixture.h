@@ -54,12 +54,14 @@ class ProcessTest : public GatewayFixture {
     options.ports = ports_;
     options.network = network_;
     options.brokers_places = brokers_places_;
+    options.broker_files = broker_files_;
     options.starter = starter_;
     options.environment = environment_;
     options.log_limit_mb = 1;
     options.metrics = metrics_;
     options.metrics_period = std::chrono::milliseconds{20};
-    return std::make_shared<ProcessLauncher>(options);
+    launcher_ = std::make_shared<ProcessLauncher>(options);
+    return launcher_;
   }
 
   /// A driver without traffic, because the embedded broker does not reach another process.
@@ -84,9 +86,9 @@ class ProcessTest : public GatewayFixture {
     const auto names = sockets();
     return names.size() == 1 ? processes::peer_process(processes::connect_in(state_, names.front())) : 0;
   }
-  /// Starts a host with the active instance "a", whose gateway then ends. \return the host's process; 0 if there is
-  /// none
-  int host_without_gateway() {
+  /// Starts a host with the active instance "a", whose gateway then ends. \param ca the authority of its broker.
+  /// \return the host's process; 0 if there is none
+  int host_without_gateway(const std::string& ca = "") {
     StatusLog log;
     const auto launcher = new_launcher();
     const auto link = launcher->launch({"probe.so", discovery::GatewayId("gw"), false},
@@ -94,6 +96,7 @@ class ProcessTest : public GatewayFixture {
     InstanceSpec spec;
     spec.order = quiet("a");
     spec.brokers = {{"local", "embedded", {}, {"embedded://x"}, {"embedded://x"}}};
+    spec.brokers[0].options.tls.ca_file = ca;
     link->create(spec);
     return log.wait_for("a", discovery::DriverState::active) ? host_process() : 0;
   }
@@ -108,6 +111,8 @@ class ProcessTest : public GatewayFixture {
   ProcessLauncher::Ports ports_;
   processes::PlacesByCode network_;
   std::vector<processes::Place> brokers_places_;
+  std::vector<std::string> broker_files_;
+  std::shared_ptr<ProcessLauncher> launcher_;  ///< the latest
   std::vector<std::string> environment_;
   std::string starter_, host_program_ = HOST_PROGRAM;
   const std::shared_ptr<HostMetrics> metrics_ = std::make_shared<HostMetrics>();

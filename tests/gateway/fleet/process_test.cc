@@ -457,7 +457,8 @@ TEST_F(ProcessTest, AGatewayThatStoodStillDoesNotTakeItsHostsForHung) {
   };
   ProcessLink link(options, {"probe.so", "gw"_gateway, false}, sockets().front(),
                    HostProofs(state_).of(sockets().front()), {process, false},
-                   {[&](const auto& s) { after.add(s); }, [&](const auto&) { ended = true; }}, stand_still_once);
+                   {[&](const auto& s) { after.add(s); }, [&](const auto&) { ended = true; }}, stand_still_once,
+                   nullptr);
   ASSERT_TRUE(eventually([&] { return pings > 1 || ended; }));
   EXPECT_FALSE(ended);
   link.deactivate("a"_instance);

@@ -80,6 +80,18 @@ TEST_F(SentPluginTest, AnOldSignedPluginIsNotRolledBackTo) {
   EXPECT_THAT(record("c")->reason, HasSubstr("version 2 of probe is older than version 3"));
 }
 
+/// SECURITY.md: nobody knows the version of what needs no signature.
+TEST_F(SentPluginTest, AnOldSignedPluginRunsWithoutItsSignatureWhereNoneIsRequired) {
+  start_gateway();
+  give(sent("a", signed_as(3)));
+  ASSERT_TRUE(comes_to("a", DriverState::active)) << (record("a") ? record("a")->reason : "");
+  give(sent("b", signed_as(2)));
+  ASSERT_TRUE(comes_to("b", DriverState::failed)) << "its signature is looked at where it comes with one";
+  EXPECT_THAT(record("b")->reason, HasSubstr("version 2 of probe is older than version 3"));
+  give(sent("c", send(probe("v1"))));
+  EXPECT_TRUE(comes_to("c", DriverState::active)) << (record("c") ? record("c")->reason : "");
+}
+
 TEST_F(SentPluginTest, OnlyAnOrderOfAnUpdateOpensTheWayBackToTheVersionBefore) {
   signature_required_ = true;
   start_gateway();

@@ -1,6 +1,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <iotcloud/config/clock_name.h>
 #include <iotcloud/gateway/host/channel_looks.h>
 #include <iotcloud/tests/config/hand_clock.h>
 
@@ -30,7 +31,22 @@ class ChannelLooksTest : public ::testing::Test {
     message.payload = brokers::Payload::copy(text);
     message.properties.set("unit", "C");
     message.time_ms = 7;
-    looks_.saw(message);
+    looks_.saw(message, {});
+  }
+  /// Carries a message of that time, and asks for its times. \param key names it
+  void carry_timed(std::int64_t time_ms, std::uint64_t key) {
+    brokers::Message message;
+    message.time_ms = time_ms;
+    looks_.saw(message, {key, clock_.now(), clock_.now() - 3ms});
+  }
+  ChannelLook ask_for_times() {
+    LookRequest request;
+    request.look = "times";
+    request.most = 10;
+    request.every_ms = 100;
+    ChannelLook look;
+    looks_.answer(request, look);
+    return look;
   }
 
   tests::HandClock clock_;
@@ -82,6 +98,38 @@ TEST_F(ChannelLooksTest, ASampleIsBoundedAndWhatIsNotInItIsCounted) {
   const auto large = ask("large");
   EXPECT_EQ(large.messages.size(), 2U) << "256 KiB at most";
   EXPECT_EQ(large.missed, 1);
+}
+
+TEST_F(ChannelLooksTest, ALookForTimesKeepsTheFirstMessageOfEachSpanUntilItsEndIsKnown) {
+  ask_for_times();
+  carry_timed(1000, 1);
+  carry_timed(1099, 2);  // of the same 100 ms as the first
+  carry_timed(1100, 3);
+  EXPECT_TRUE(ask_for_times().messages.empty()) << "no end is known";
+  clock_.advance(5ms);
+  looks_.ended(3, "dropped: superseded");
+  const auto first = ask_for_times();
+  ASSERT_EQ(first.messages.size(), 1U);
+  EXPECT_EQ(first.messages[0].time_ms, 1100);
+  EXPECT_EQ(first.messages[0].end_us - first.messages[0].begin_us, 5'000);
+  EXPECT_EQ(first.messages[0].begin_us - first.messages[0].came_us, 3'000);
+  EXPECT_EQ(first.messages[0].fate, "dropped: superseded");
+  EXPECT_EQ(first.clock, config::system_clock_name());
+  EXPECT_EQ(first.missed, 0) << "messages that were not chosen are not missed";
+  clock_.advance(ChannelLooks::longest_wait);
+  const auto second = ask_for_times();
+  ASSERT_EQ(second.messages.size(), 1U) << "told without its end after a while";
+  EXPECT_EQ(second.messages[0].time_ms, 1000);
+  EXPECT_EQ(second.messages[0].end_us, 0);
+}
+
+TEST_F(ChannelLooksTest, TheEndOfAMessageMayComeBeforeTheMessageIsSeen) {
+  ask_for_times();
+  looks_.ended(7, "confirmed");
+  carry_timed(1, 7);
+  const auto look = ask_for_times();
+  ASSERT_EQ(look.messages.size(), 1U);
+  EXPECT_EQ(look.messages[0].fate, "confirmed");
 }
 
 TEST_F(ChannelLooksTest, ALookThatNobodyAsksForEnds) {

@@ -52,8 +52,9 @@ class OpenChannelsTest : public ::testing::Test {
   /// \param handled what the driver does with each message
   std::shared_ptr<ChannelQueue> open_incoming(const std::string& channel, ChannelQueue::Handled handled) {
     const PlannedChannel planned = plan(channel, drivers::Direction::in);
-    auto queue = std::make_shared<ChannelQueue>(loop_, 0, metrics_.counter("superseded", "", {}),
-                                                [handled](brokers::Message&&) { return handled; });
+    auto queue =
+        std::make_shared<ChannelQueue>(loop_, 0, metrics_.counter("superseded", "", {}),
+                                       [handled](brokers::Message&&, config::Clock::Instant) { return handled; });
     channels_.add_incoming(planned, environment_.brokers->get(planned.address, planned.broker), queue,
                            std::make_shared<ChannelLooks>(*environment_.clock));
     return queue;
@@ -132,6 +133,23 @@ TEST_F(OpenChannelsTest, WhoHandsAMessageOverIsToldWhatBecameOfIt) {
   EXPECT_THAT(hand("contro"), HasSubstr("has no channel \"contro\""));
   ending->close();
   EXPECT_THAT(hand("ending"), HasSubstr("the instance ended before its driver saw the message"));
+}
+
+TEST_F(OpenChannelsTest, ALookSaysWhatBecameOfTheMessages) {
+  open_incoming("control", ChannelQueue::Handled::done);
+  open_incoming("broken", ChannelQueue::Handled::failed);
+  hand("control");
+  hand("control");
+  hand("broken");
+  const auto channels = look("control").channels;
+  ASSERT_EQ(channels.size(), 2U);
+  EXPECT_EQ(channels[0].done, 0);
+  EXPECT_EQ(channels[0].lost.at("failed: the driver threw"), 1);
+  EXPECT_EQ(channels[1].done, 2);
+  EXPECT_THAT(channels[1].lost, IsEmpty());
+  std::int64_t lost = 0;
+  channels_.each_tally([&](const auto&, const ChannelTally& tally) { lost += tally.losses().messages; });
+  EXPECT_EQ(lost, 1);
 }
 
 TEST_F(OpenChannelsTest, HiddenChannelsCanBeWrittenToUntilTheyAreTaken) {

@@ -194,7 +194,7 @@ TEST(HostProtocol, ReadsAndWritesTheBytesThatOlderGatewaysAndHostsOfThisVersionD
     EXPECT_EQ(body_of(encode(decode_command(body))), body);
   for (
       const std::string body : {
-          R"({"answers":true,"found":["ab","anna"],"gateway":"gw","instances":[{"spec":{"brokers":[],"order":"{\"active\":true,\"driver\":\"\",\"epoch\":0,\"instance\":\"01\",\"metadata\":{},\"plugin\":\"turtle.so\",\"properties\":{}}"},"status":{"channels":[{"driver":"turtle","gateway":"gw","instance":"01","name":"control","out":false,"properties":{},"shared":true,"transport":"red","url":"amqp://red/"}],"driver":"turtle","instance":"01","metadata":{"a":"b"},"reason":"","since_ms":5,"state":"active"}}],"isolated":true,"kind":"hello","plugin":"turtle.so","sha256":"ab","version":5})",
+          R"({"answers":true,"found":["ab","anna"],"gateway":"gw","instances":[{"spec":{"brokers":[],"order":"{\"active\":true,\"driver\":\"\",\"epoch\":0,\"instance\":\"01\",\"metadata\":{},\"plugin\":\"turtle.so\",\"properties\":{}}"},"status":{"channels":[{"driver":"turtle","gateway":"gw","instance":"01","name":"control","out":false,"properties":{},"shared":true,"transport":"red","url":"amqp://red/"}],"driver":"turtle","instance":"01","metadata":{"a":"b"},"reason":"","since_ms":5,"state":"active"}}],"isolated":true,"kind":"hello","plugin":"turtle.so","sha256":"ab","version":6})",
           R"({"kind":"refused","reason":"no"})",
           R"({"kind":"status","status":{"channels":[],"driver":"turtle","instance":"01","metadata":{},"reason":"why","since_ms":5,"state":"failed"}})",
           R"({"kind":"pong","number":1,"stalls":[{"instance":"01","limit_ms":20,"ms":7,"own_thread":true},{"instance":"","ms":7,"own_thread":false}]})",

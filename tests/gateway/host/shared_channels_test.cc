@@ -93,13 +93,14 @@ class SharedChannelsTest : public ::testing::Test {
 
   /// The instance is opened again.
   void join(const discovery::InstanceId& instance) {
-    queues_[instance] = std::make_shared<ChannelQueue>(
-        driver_, 0, metrics_.counter("superseded", "", {}), [this, instance](brokers::Message&& message) {
-          const std::lock_guard lock(mutex_);
-          if (!takes_) return ChannelQueue::Handled::not_taken;
-          taken_.push_back(instance + ":" + std::string(message.payload.text()));
-          return ChannelQueue::Handled::done;
-        });
+    queues_[instance] =
+        std::make_shared<ChannelQueue>(driver_, 0, metrics_.counter("superseded", "", {}),
+                                       [this, instance](brokers::Message&& message, config::Clock::Instant) {
+                                         const std::lock_guard lock(mutex_);
+                                         if (!takes_) return ChannelQueue::Handled::not_taken;
+                                         taken_.push_back(instance + ":" + std::string(message.payload.text()));
+                                         return ChannelQueue::Handled::done;
+                                       });
     channels_->join(channel_, broker_, instance, queues_.at(instance));
   }
   auto close(const discovery::InstanceId& instance) {

@@ -23,6 +23,7 @@
 #include <sys/socket.h>
 #include <sys/syscall.h>
 #include <sys/uio.h>
+#include <sys/un.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
@@ -40,6 +41,7 @@ using namespace std::chrono_literals;
 ///   near, far: addresses to which it sends a datagram
 ///   port, other_port: of 127.0.0.1, to which it connects
 ///   name: of a machine, whose IPv4 address it asks for
+///   local_service: the path of a socket at which it asks a service of its machine for an address
 ///   children: how many processes it tries to start
 ///   chatter: "true": it writes 16 KiB to stdout every 2 ms
 class ConfinedDriver final : public drivers::Driver {
@@ -96,6 +98,9 @@ class ConfinedDriver final : public drivers::Driver {
     }
     if (const auto name = properties.find("name"); name != properties.end()) {
       facts["name"] = address_of(name->second);
+    }
+    if (const auto service = properties.find("local_service"); service != properties.end()) {
+      facts["local_service"] = answer_of(service->second);
     }
     if (const auto count = properties.find("children"); count != properties.end()) {
       std::tie(facts["children"], facts["next_child"]) = start_children(std::stoi(count->second));
@@ -190,6 +195,24 @@ class ConfinedDriver final : public drivers::Driver {
     inet_ntop(AF_INET, &reinterpret_cast<const sockaddr_in*>(found->ai_addr)->sin_addr, text.data(), text.size());
     freeaddrinfo(found);
     return text.data();
+  }
+
+  /// What a service says to a question, or why it cannot be asked.
+  static std::string answer_of(const std::string& path) {
+    sockaddr_un at{};
+    at.sun_family = AF_UNIX;
+    path.copy(at.sun_path, sizeof(at.sun_path) - 1);
+    const int socket = ::socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+    if (socket < 0) return outcome(socket);
+    const long connected = ::connect(socket, reinterpret_cast<const sockaddr*>(&at), sizeof at);
+    std::string answer = outcome(connected);
+    if (connected == 0) {
+      std::array<char, 64> text{};
+      const auto size = recv(socket, text.data(), text.size(), 0);
+      answer.assign(text.data(), size > 0 ? static_cast<std::size_t>(size) : 0);
+    }
+    ::close(socket);
+    return answer;
   }
 
   static long datagram(const std::string& address) {

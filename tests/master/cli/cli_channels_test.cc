@@ -23,7 +23,8 @@ using ::testing::HasSubstr;
 /// safe.
 class PlayedChannels final : public gateway::wire::TSensorSiteServiceNull {
  public:
-  void ping(gateway::wire::TPing& answer) override { answer.__set_gateway("lab1"); }
+  explicit PlayedChannels(std::string gateway = "lab1") : gateway_(std::move(gateway)) {}
+  void ping(gateway::wire::TPing& answer) override { answer.__set_gateway(gateway_); }
   void lookAtChannel(TChannelLook& look, const discovery::wire::TLookRequest& request) override {
     const std::lock_guard lock(mutex_);
     looks_.push_back(request);
@@ -94,6 +95,7 @@ class PlayedChannels final : public gateway::wire::TSensorSiteServiceNull {
   }
 
  private:
+  const std::string gateway_;
   std::mutex mutex_;  ///< guards all that follows
   std::vector<std::string> payloads_;
   std::string state_ = "active", refusal_;
@@ -112,12 +114,16 @@ class CliChannels : public Cli {
   void serve(const std::shared_ptr<apache::thrift::TProcessor>& processor) {
     service_.reset();
     service_.emplace(rpc::ThriftServerOptions{}, [processor](const auto&) { return processor; });
+    show("lab1"_gateway, service_->port());
+  }
+  /// From now on the gateway's record says that its service is there.
+  void show(const discovery::GatewayId& gateway, int port) const {
     const discovery::Paths paths;
     auto registry = open_registry(url);
-    auto record = discovery::decode_gateway(registry->get(paths.gateway("lab1"_gateway))->data, "lab1");
+    auto record = discovery::decode_gateway(registry->get(paths.gateway(gateway))->data, gateway.str());
     record.host = "127.0.0.1";
-    record.port = service_->port();
-    discovery::put(*registry, paths.gateway("lab1"_gateway), encode(record));
+    record.port = port;
+    discovery::put(*registry, paths.gateway(gateway), encode(record));
   }
 
   FakeGateway lab1_{url, "lab1"};
@@ -150,6 +156,32 @@ TEST_F(CliChannels, EchoShowsMessagesAndEndsAfterAsManyAsWereAskedFor) {
   EXPECT_EQ(json["format"], "hex");
 }
 
+/// SECURITY.md: the thief of lab2 makes a record with the id of an instance on lab1.
+TEST_F(CliChannels, OfAnInstanceMayBeThoseOfAThiefWhoMadeARecordWithItsId) {
+  site_->carry({"21.5"});
+  EXPECT_THAT(run({"channel", "echo", id_, "readings", "--once"}).out, HasSubstr("21.5"))
+      << "the instance's own gateway is asked";
+  const FakeGateway stolen(url, "lab2");
+  const auto thief = std::make_shared<PlayedChannels>("lab2");
+  thief->carry({"forged"});
+  const rpc::ThriftServer service(
+      rpc::ThriftServerOptions{},
+      [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(thief)](const auto&) { return p; });
+  show("lab2"_gateway, service.port());
+  discovery::DriverRecord forged;
+  forged.name = "aaa"_driver;
+  forged.instance = discovery::InstanceId(id_);
+  forged.gateway = "lab2"_gateway;
+  forged.state = discovery::DriverState::active;
+  discovery::put(*open_registry(url), discovery::Paths().instance(forged.name, forged.instance), encode(forged));
+  EXPECT_TRUE(eventually([&] {
+    return run({"channel", "echo", id_, "readings", "--once"}).out.find("forged") != std::string::npos;
+  })) << "the thief's messages";
+  EXPECT_EQ(run({"channel", "publish", id_, "control", "on"}).status, 0);
+  EXPECT_EQ(thief->handed().size(), 1u) << "what a person sends goes to the thief";
+  EXPECT_EQ(site_->handed().size(), 0u);
+}
+
 TEST_F(CliChannels, AChannelThatIsNotThereIsAnsweredWithThoseThatAre) {
   const auto done = run({"channel", "echo", id_, "temprature"});
   EXPECT_EQ(done.status, 1);
@@ -180,7 +212,7 @@ TEST_F(CliChannels, PublishHandsAMessageOfTextBytesOrAFile) {
   EXPECT_EQ(done.status, 0) << done.err;
   EXPECT_THAT(done.out, HasSubstr("its driver has handled"));
   run({"channel", "publish", id_, "control", "--hex", "00 ff"});
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   tests::write_file(folder / "message", "from a file");
   run({"channel", "publish", id_, "control", "--file", folder / "message"});
   const auto handed = site_->handed();

@@ -283,6 +283,30 @@ TEST_F(CliHistory, LogsAreThoseOfTheInstanceOrOfItsWholeHost) {
   EXPECT_THAT(run({"logs", id, "--whole-host", "--lines", "1"}).out, Not(HasSubstr("other: active")));
 }
 
+/// SECURITY.md: the thief of lab2 makes a record with the id of an instance on lab1.
+TEST_F(CliHistory, LogsOfAnInstanceMayBeThoseOfAThiefWhoMadeARecordWithItsId) {
+  const auto id = deploy("lab1");
+  site_->forget_log();
+  EXPECT_THAT(run({"logs", id}).err, HasSubstr("there is no log yet")) << "the instance's own gateway is asked";
+  const FakeGateway stolen(url, "lab2");
+  const auto thief = std::make_shared<PlayedSite>();
+  thief->be("lab2");
+  const rpc::ThriftServer service(
+      rpc::ThriftServerOptions{},
+      [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(thief)](const auto&) { return p; });
+  serve("lab2", service.port());
+  discovery::DriverRecord forged;
+  forged.name = "aaa"_driver;
+  forged.instance = discovery::InstanceId(id);
+  forged.gateway = "lab2"_gateway;
+  forged.state = discovery::DriverState::active;
+  const discovery::Paths paths;
+  discovery::put(*open_registry(url), paths.instance(forged.name, forged.instance), encode(forged));
+  EXPECT_TRUE(eventually([&] {
+    return run({"logs", id}).out.find(id + ": active") != std::string::npos;
+  })) << "the thief's words";
+}
+
 TEST_F(CliHistory, FollowingGoesOnWhereItWasUntilTheGatewayTellsNoMore) {
   const auto id = deploy("lab1");
   const auto done = run({"logs", id, "--follow"});
@@ -303,7 +327,7 @@ TEST_F(CliHistory, WhatTheGatewayCannotReadIsSaidInItsWords) {
 
 TEST_F(CliHistory, AGatewayWithTlsIsAskedWithTheMastersCertificateAndToken) {
   const security::test::Certificates certificates;
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   const std::string shown = folder / "shown";
   std::ofstream(shown) << "the master's\n";
   const auto site = std::make_shared<PlayedSite>();
@@ -332,7 +356,7 @@ TEST_F(CliHistory, AGatewayThatIsNotTheOneThatIsMeantDoesNotSeeTheMastersToken) 
   const security::test::Certificates certificates;
   certificates.authority().certify_host("lab2");
   certificates.authority().certify_host("shed", {.gateways = {"lab3", "lab1"}});
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   std::ofstream(folder / "lab1.token") << "for lab1 only\n";
   rpc::ThriftServerOptions api;
   api.port = server->port();

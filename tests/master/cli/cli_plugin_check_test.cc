@@ -48,7 +48,7 @@ TEST(CliPluginCheck, NamesWhatIsMissingBeforeAnythingIsDeployed) {
 }
 
 TEST(CliPluginCheck, RefusesWhatIsNoPlugin) {
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   const std::string file = tests::write_file(folder / "notes.so", "no library at all");
   EXPECT_THAT(check(file).err, HasSubstr("is no plugin: it exports neither iotcloud_driver_descriptor"));
   const std::string torn = tests::write_file(folder / "torn.so", "iotcloud_driver_descriptor");

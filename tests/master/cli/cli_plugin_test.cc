@@ -296,7 +296,7 @@ TEST_F(CliPlugin, AGatewayThatDrainsIsPassedByWhenAFileGoesToAll) {
 }
 
 constexpr const char* meter =
-    R"({"driver":"meter","version":"1.2","sdk_version":6,"description":"A meter","properties":[)"
+    R"({"driver":"meter","version":"1.2","sdk_version":7,"description":"A meter","properties":[)"
     R"({"name":"rate","type":"number","unit":"1/s","min":0.1,"max":1000,"default":"10","text":"readings"},)"
     R"({"name":"mode","type":"text","choices":["fast","slow"]},{"name":"base","type":"text"}]})";
 

@@ -138,7 +138,7 @@ class CliSecurity : public testing::Test {
     return "tls: {ca: " + certs + "/ca.pem, certificate: " + certs + "/lab1.pem, key: " + certs + "/lab1.key}";
   }
 
-  const security::test::Folder folder_;
+  const tests::TemporaryFolder folder_;
 };
 
 TEST_F(CliSecurity, CertsInitMakesFilesSaysWhatIsNextAndOverwritesNothing) {

@@ -108,7 +108,7 @@ class CliOfAFarWorker : public Cli {
   }
 
   const security::test::Certificates certificates_;
-  const security::test::Folder folder_;
+  const tests::TemporaryFolder folder_;
   const std::string token_;
   std::atomic<bool> well_ = true;
   std::atomic<std::size_t> padding_ = 0;  ///< bytes that follow the page
@@ -229,7 +229,7 @@ class CliOfAWorkerHere : public CliOfAFarWorker {
 /// namespace, say), and answers all later ones. Thread safe.
 class PageAtTheSecondTry {
  public:
-  explicit PageAtTheSecondTry(std::string text)
+  explicit PageAtTheSecondTry(const std::string& text)
       : answer_("HTTP/1.1 200 OK\r\nConnection: close\r\nContent-Length: " + std::to_string(text.size()) + "\r\n\r\n" +
                 text),
         thread_([this] { serve(); }) {}

@@ -93,6 +93,13 @@ class CliVerbs : public Cli {
 /// Their answers are no records: a script, a status, a token alone on its line, what to do next, a file of its own
 /// format, or what another program says.
 const std::set<Words> without_output = {{"run"},
+                                        {"record"},
+                                        {"play"},
+                                        {"new", "driver"},
+                                        {"new", "bolt"},
+                                        {"new", "topology"},
+                                        {"new", "project"},
+                                        {"support-bundle"},
                                         {"health"},
                                         {"completion"},
                                         {"topology", "check"},

@@ -370,7 +370,7 @@ TEST_F(OriginalGatewayTest, IsTendedByTheMasterThatComesToLeadNext) {
 
 TEST_F(OriginalGatewayTest, OfAnotherUserOfTheMachineIsRefusedUnlessThatOneIsNamedAndInTheAuditLog) {
   if (geteuid() != 0) GTEST_SKIP() << "only root can make a socket of another user";
-  const security::test::Folder folder;
+  const tests::TemporaryFolder folder;
   const auto serve = [&](OriginalAccess access) {
     for_gateways.reset();  // it has the log
     access.audit = std::make_shared<security::AuditLog>(folder / "audit");

@@ -114,6 +114,15 @@ TEST(TopologyDefinition, RefusesAConfThatNothingReads) {
               HasSubstr("bolts.b.conf"));
 }
 
+TEST(TopologyDefinition, RefusesAPlacementThatIsNone) {
+  const std::string text = with_spout(good_spout);
+  EXPECT_THAT(error_of(text + "runtime: {placement: {cores: [0, one]}}\n"),
+              AllOf(HasSubstr("runtime.placement.cores"), HasSubstr("\"one\" is no core")));
+  EXPECT_THAT(error_of(text + "runtime: {placement: {cores: [-1]}}\n"), HasSubstr("\"-1\" is no core"));
+  EXPECT_THAT(error_of(text + "runtime: {placement: {priority: 100}}\n"), HasSubstr("runtime.placement.priority"));
+  EXPECT_THAT(error_of(text + "runtime: {placement: {prio: 1}}\n"), HasSubstr("runtime.placement.prio: unknown key"));
+}
+
 TEST(TopologyDefinition, ReadsEverythingElse) {
   const auto definition = TopologyDefinition::parse(R"(
 registry: "embedded://here"
@@ -121,7 +130,8 @@ topology.name: t
 topology.library: [a.so, b.so]
 brokers: {lab: "amqp://lab"}
 conf: {colour: red}
-runtime: {threads: 3, message_timeout: 5s, acking: false, max_spout_pending: 7, mailbox_capacity: 9}
+runtime: {threads: 3, message_timeout: 5s, acking: false, max_spout_pending: 7, mailbox_capacity: 9,
+          placement: {cores: [2, 3], priority: 10, lock_memory: true}}
 metrics: {address: "127.0.0.1:9100"}
 spouts:
   s:
@@ -167,6 +177,9 @@ bolts:
   EXPECT_FALSE(definition.runtime.acking);
   EXPECT_EQ(definition.runtime.max_spout_pending, 7);
   EXPECT_EQ(definition.runtime.mailbox_capacity, 9);
+  EXPECT_THAT(definition.runtime.placement.cores, ElementsAre(2, 3));
+  EXPECT_EQ(definition.runtime.placement.priority, 10);
+  EXPECT_TRUE(definition.runtime.placement.lock_memory);
   EXPECT_EQ(definition.pages.address, "127.0.0.1:9100");
   const auto& spout = definition.spouts.at(0);
   EXPECT_EQ(spout.parallelism, 4);

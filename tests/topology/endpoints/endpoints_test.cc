@@ -210,6 +210,23 @@ TEST_F(Endpoints, SayInTheWorkersRecordWhichBrokerIsAwayAsLongAsItIs) {
   EXPECT_EQ(worker.trouble(), "");
 }
 
+TEST_F(Endpoints, SayWhichTopicCannotBeReadAndTryAgain) {
+  Worker& worker = run();
+  auto channel = channel_record("one", "up", discovery::Direction::out);
+  channel.properties = {{"routingKey", "up"}};
+  channel.broker_url = "pigeons://loft";
+  put_channel(channel);
+  put_driver(driver_record("one"));
+  EXPECT_TRUE(eventually([&] { return !worker.trouble().empty(); }));
+  EXPECT_THAT(worker.trouble(), HasSubstr("in: channel up of driver d: 1 topic(s) cannot be read; every 2 s it is"));
+  EXPECT_THAT(worker.trouble(), HasSubstr(topic("one", "up") + ": "));
+  EXPECT_THAT(worker.trouble(), HasSubstr("pigeons://loft"));
+  channel.broker_url = broker_url_;
+  put_channel(channel);
+  EXPECT_TRUE(eventually([&] { return worker.trouble().empty(); })) << worker.trouble();
+  EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+}
+
 TEST_F(Endpoints, SayThatThePrefetchIsTheLimitOfAWindowThatKeepsAllMessages) {
   const tests::CapturedLog log;
   run_yaml(window_behind_spout(", properties: {prefetchCount: 5}"), window_like());

@@ -410,6 +410,9 @@ TEST(PartitionAgreementTest, NamesTheChannelsThatDifferAndTellsOfEachChange) {
   EXPECT_EQ(changes, 0);
   agreement.set(source, "side", split(2));
   EXPECT_THAT(agreement.difference(source), HasSubstr("\"side\" and \"up\" have 2 and 4 partitions"));
+  EXPECT_THAT(agreement.difference(source),
+              HasSubstr("(kafka-topics.sh --alter --partitions); or, if they need not meet, "
+                        "give one of the spouts a \"group\" of its own"));
   EXPECT_EQ(changes, 1);
   agreement.forget(source, "side");
   EXPECT_THAT(agreement.difference(source), IsEmpty());

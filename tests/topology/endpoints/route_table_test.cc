@@ -174,6 +174,20 @@ class Routes : public ::testing::Test {
     table_->on_tick();
     return answers_.of(number) == Answer::none;
   }
+  /// Makes the instance an inactive one that nothing came for in a long time, and waits until the table knows it.
+  bool becomes_inactive(const std::string& id) {
+    show_record(id, DriverState::inactive);
+    const double before = lost("inactive");
+    const bool known = eventually([&] {
+      send(id);
+      clock_.advance(RouteTable::grace);
+      table_->on_tick();
+      return lost("inactive") > before;
+    });
+    clock_.advance(10 * RouteTable::grace);
+    table_->on_tick();
+    return known;
+  }
   bool received(int number) {
     const std::lock_guard lock(mutex_);
     return std::find(received_.begin(), received_.end(), std::to_string(number)) != received_.end();
@@ -433,13 +447,37 @@ TEST_F(Routes, OfAnInstanceThatWasStoppedWaitAMomentBecauseItMayBeARestart) {
   table_->on_tick();
   EXPECT_EQ(answers_.of(number), Answer::none);
   EXPECT_TRUE(eventually([&] {
-    clock_.advance(RouteTable::grace);
+    clock_.advance(RouteTable::grace / 2);
     table_->on_tick();
-    return answers_.of(send("a")) == Answer::acked;  // at once: it has been inactive for long
+    return answers_.of(send("a")) ==
+           Answer::acked;  // at once: it has been inactive for long, and tuples come all the time
   }));
   EXPECT_EQ(answers_.of(number), Answer::acked);
   EXPECT_GE(lost("inactive"), 3);
   EXPECT_EQ(metric("iotcloud_bolt_unknown_driver_total"), unknown);
+}
+
+TEST_F(Routes, OfAnInstanceThatBeganAgainAreSentThoughTheRegistrySaysSoLaterThanItsFirstMessageComes) {
+  start();
+  for (int begins = 0; begins < 2; ++begins) {
+    ASSERT_TRUE(becomes_inactive("a"));
+    const int number = send("a");
+    clock_.advance(RouteTable::grace - 1ms);
+    table_->on_tick();
+    EXPECT_EQ(answers_.of(number), Answer::none);
+    show("a", DriverState::active);
+    EXPECT_TRUE(eventually([&] { return received(number); }));
+  }
+}
+
+TEST_F(Routes, OfAnInactiveInstanceHoldUpASpoutThatMayHaveFewUnderWayOnlyOnce) {
+  start();
+  ASSERT_TRUE(becomes_inactive("a"));
+  const int first = send("a");
+  clock_.advance(RouteTable::grace);
+  table_->on_tick();
+  EXPECT_EQ(answers_.of(first), Answer::acked);
+  EXPECT_EQ(answers_.of(send("a")), Answer::acked) << "the spout sends it when the first one is settled";
 }
 
 TEST_F(Routes, OfAnInstanceWhoseRecordIsGoneWaitAMomentBecauseItMayComeBack) {

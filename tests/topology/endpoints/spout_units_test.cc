@@ -89,6 +89,7 @@ class SpoutUnitsTest : public testing::Test {
                 .open_reader =
                     [this](const auto& channel, const auto& topic, auto, int task) {
                       tasks_[channel.instance.str()] = task;
+                      if (unreadable_.contains(topic.second.name)) return std::shared_ptr<TopicReader>();
                       return TopicReader::open(broker_, topic.first, topic.second, {},
                                                {channel.gateway, channel.instance}, queue_, fence_,
                                                std::make_shared<HeldMessages>());
@@ -141,6 +142,7 @@ class SpoutUnitsTest : public testing::Test {
   const std::shared_ptr<SpoutQueue> queue_ = std::make_shared<SpoutQueue>(100, SpoutWaker());
   const std::shared_ptr<StandstillFence> fence_ = std::make_shared<StandstillFence>();
   std::set<std::string> runs_for_;
+  std::set<std::string> unreadable_;  ///< topics that cannot be opened
   std::map<std::string, int> tasks_;  ///< for which a reader was opened last, by instance
   SpoutUnits units_;
 };
@@ -379,6 +381,35 @@ TEST_F(SpoutUnitsTest, AUnitThatIsNeverIdleIsGivenUpInTheEnd) {
   EXPECT_THAT(look(SpoutUnits::look_period), SizeIs(1));
 }
 
+TEST_F(SpoutUnitsTest, AUnitWhoseTopicCannotBeOpenedHasNotBeenReadToItsEnd) {
+  unreadable_ = {"a"};
+  read_alone({"a", "b"});
+  EXPECT_EQ(units_.readers(), 1U);
+  EXPECT_EQ(units_.missing(), 1U);
+  remove("a");
+  EXPECT_THAT(look(SpoutUnits::stuck_limit), IsEmpty());
+  units_.open_missing();
+  EXPECT_EQ(units_.missing(), 1U);
+  unreadable_.clear();
+  units_.open_missing();
+  EXPECT_EQ(units_.missing(), 0U);
+  EXPECT_THAT(broker_->topics(), ElementsAre("a", "b"));
+  EXPECT_EQ(broker_->opened, 2) << "the other one is open";
+  broker_->deliver("a");
+  settle_all();
+  EXPECT_THAT(look(SpoutUnits::end_silence / 2), IsEmpty());
+  EXPECT_THAT(look(SpoutUnits::end_silence), SizeIs(1));
+}
+
+TEST_F(SpoutUnitsTest, AUnitWhoseTopicCanNeverBeOpenedIsGivenUpInTheEnd) {
+  unreadable_ = {"a"};
+  read_alone({"a"});
+  remove("a");
+  EXPECT_THAT(look(SpoutUnits::longest_end), IsEmpty());
+  EXPECT_THAT(look(SpoutUnits::look_period), SizeIs(1));
+  EXPECT_EQ(units_.missing(), 0U);
+}
+
 TEST_F(SpoutUnitsTest, AnInstanceThatIsBackBeforeTheEndIsReadOnWithoutAPause) {
   read_alone({"a"});
   remove("a");
@@ -431,6 +462,50 @@ TEST_F(SpoutUnitsTest, AfterTheFenceNothingIsReadBeforeItIsKnownWhoLeads) {
   EXPECT_THAT(broker_->topics(), IsEmpty());
   units_.read_anew();
   EXPECT_THAT(broker_->topics(), ElementsAre("b", "c")) << "another worker leads a";
+}
+
+TEST_F(SpoutUnitsTest, AUnitWithoutChannelsThatAnotherWorkerLeadsAfterTheFenceIsNotReadHere) {
+  read_alone({"a"});
+  remove("a");
+  units_.hold_back();
+  units_.on_lost("a", true);
+  units_.registry_back();
+  units_.read_anew();
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+  EXPECT_THAT(look(SpoutUnits::stuck_limit), IsEmpty()) << "if the other one leads it, that one reads it";
+  EXPECT_THAT(runs_for_, ElementsAre("a")) << "the other one may have forgotten it";
+  units_.on_elected("a");
+  EXPECT_THAT(broker_->topics(), ElementsAre("a"));
+  EXPECT_THAT(look(2 * SpoutUnits::end_silence), SizeIs(1));
+}
+
+TEST_F(SpoutUnitsTest, AUnitWithoutChannelsIsReadOnWhileTheRegistryIsAwayAndUntilAnotherWorkerMayLeadIt) {
+  read_alone({"a", "b", "c"});
+  for (const auto* instance : {"a", "b", "c"}) {
+    remove(instance);
+    broker_->deliver(instance);
+  }
+  units_.on_lost("a", true);
+  units_.on_lost("b", true);
+  units_.on_lost("c", false);
+  EXPECT_THAT(broker_->topics(), ElementsAre("a", "b"));
+  units_.on_elected("b");
+  units_.registry_back();
+  EXPECT_THAT(broker_->topics(), ElementsAre("b"));
+  EXPECT_EQ(broker_->opened, 3) << "nothing interrupted the one that this worker leads again";
+}
+
+TEST_F(SpoutUnitsTest, AnInstanceThatIsBackWhileTheRegistryIsAwayIsReadOnUntilAnotherWorkerMayLeadIt) {
+  read_alone({"a"});
+  remove("a");
+  units_.on_lost("a", true);
+  add("a");
+  EXPECT_EQ(broker_->opened, 1);
+  EXPECT_THAT(units_.take_resigned(), IsEmpty());
+  units_.registry_back();
+  EXPECT_THAT(broker_->topics(), IsEmpty());
+  units_.on_elected("a");
+  EXPECT_THAT(broker_->topics(), ElementsAre("a"));
 }
 
 TEST_F(SpoutUnitsTest, AfterTheFenceAUnitWithoutChannelsIsStillReadToItsEnd) {

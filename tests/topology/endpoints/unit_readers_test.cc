@@ -54,33 +54,37 @@ class UnitReadersTest : public testing::Test {
   const std::shared_ptr<SpoutQueue> queue_ = std::make_shared<SpoutQueue>(100, SpoutWaker());
   const std::shared_ptr<StandstillFence> fence_ = std::make_shared<StandstillFence>();
   discovery::ChannelRecord channel_;
-  std::size_t total_ = 0;
+  UnitReaders::Totals totals_;
   int opened_ = 0;
 };
 
 TEST_F(UnitReadersTest, WhatIsWantedIsOpenedOnceAndWhatIsNotIsClosed) {
-  UnitReaders readers(total_);
+  UnitReaders readers(totals_);
   readers.open_missing(wanted({"a", "b"}), open());
-  EXPECT_EQ(total_, 2u);
+  EXPECT_EQ(totals_.open, 2u);
   readers.keep_only(wanted({"b", "c"}));
-  EXPECT_EQ(total_, 1u);
+  EXPECT_EQ(totals_.open, 1u);
   readers.open_missing(wanted({"b", "c"}), open());
-  EXPECT_EQ(total_, 2u);
+  EXPECT_EQ(totals_.open, 2u);
   EXPECT_EQ(opened_, 3);
   readers.close();
-  EXPECT_EQ(total_, 0u);
+  EXPECT_EQ(totals_.open, 0u);
 }
 
 TEST_F(UnitReadersTest, WhatCannotBeOpenedIsTriedAgain) {
-  UnitReaders readers(total_);
+  UnitReaders readers(totals_);
   readers.open_missing(wanted({"broken"}), open());
   readers.open_missing(wanted({"broken"}), open());
-  EXPECT_EQ(total_, 0u);
+  EXPECT_EQ(totals_.open, 0u);
+  EXPECT_EQ(totals_.missing, 1u);
+  EXPECT_TRUE(readers.lacks_one());
   EXPECT_EQ(opened_, 2);
+  readers.close();
+  EXPECT_EQ(totals_.missing, 0u);
 }
 
 TEST_F(UnitReadersTest, WhatWasBroughtIsInHandUntilItIsSettled) {
-  UnitReaders readers(total_);
+  UnitReaders readers(totals_);
   readers.open_missing(wanted({"a"}), open());
   EXPECT_EQ(readers.in_hand(), 0U);
   send("a");
@@ -93,7 +97,7 @@ TEST_F(UnitReadersTest, WhatWasBroughtIsInHandUntilItIsSettled) {
 }
 
 TEST_F(UnitReadersTest, AReaderWhoseBrokerIsAwayIsCutOff) {
-  UnitReaders readers(total_);
+  UnitReaders readers(totals_);
   readers.open_missing(wanted({"a"}), open());
   EXPECT_TRUE(eventually([&] { return !readers.cut_off(); }));
   server_.stop();

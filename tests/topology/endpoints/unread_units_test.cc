@@ -1,22 +1,27 @@
-// A worker's share changes while somebody else still has the units that it stands for.
+// What a worker does not read yet: units of its share that somebody else still has, and all of them after the fence.
 #include <algorithm>
 #include <chrono>
+#include <functional>
 #include <future>
 #include <memory>
 #include <mutex>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
 
+#include <iotcloud/discovery/embedded/server.h>
 #include <iotcloud/tests/discovery/passing_registry.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
+#include <iotcloud/topology/endpoints/standstill_fence.h>
 
 namespace iotcloud::topology {
 namespace {
 
-/// Its timers go off when the test says, once it has stopped them. Thread safe.
+/// Its timers go off when the test says, once it has stopped them. Asked for a group's member while it is silent, it
+/// stops them by itself, and answers when the test says. Thread safe.
 class StoppedTimers final : public tests::PassingRegistry {
  public:
   using PassingRegistry::PassingRegistry;
@@ -25,15 +30,17 @@ class StoppedTimers final : public tests::PassingRegistry {
     const std::lock_guard lock(mutex_);
     stopped_ = true;
   }
-  void go_off() {
-    std::vector<std::shared_ptr<Timer>> waiting;
-    {
-      const std::lock_guard lock(mutex_);
-      stopped_ = false;
-      waiting.swap(waiting_);
-    }
-    for (const auto& timer : waiting) timer->begin(*this);
+  void go_off() { let_begin(stopped_, waiting_); }
+  void be_silent() {
+    const std::lock_guard lock(mutex_);
+    silent_ = true;
   }
+  /// How often it was asked and did not answer.
+  std::size_t asked() const {
+    const std::lock_guard lock(mutex_);
+    return questions_.size();
+  }
+  void answer() { let_begin(silent_, questions_); }
   /// Whether a group's members, as it has read them last, have one of this name.
   bool has_read(const std::string& member) const {
     const std::lock_guard lock(mutex_);
@@ -59,6 +66,15 @@ class StoppedTimers final : public tests::PassingRegistry {
       const std::lock_guard lock(mutex_);
       members_ = names.value_or(Names());
     });
+  }
+  discovery::GuardPtr watch_node(const std::string& path,
+                                 std::function<void(const std::optional<Node>&)> callback) override {
+    const std::lock_guard lock(mutex_);
+    if (!silent_ || path.find("/members/") == std::string::npos)
+      return PassingRegistry::watch_node(path, std::move(callback));
+    stopped_ = true;
+    questions_.push_back(std::make_shared<Timer>([callback = std::move(callback)] { callback(std::nullopt); }));
+    return std::make_unique<TimerGuard>(questions_.back());
   }
   discovery::GuardPtr hold_eventually(const std::string& path, const std::string& data, bool sequential,
                                       std::function<void(const std::string&)> on_created) override {
@@ -106,12 +122,44 @@ class StoppedTimers final : public tests::PassingRegistry {
     const std::shared_ptr<Timer> timer_;
   };
 
+  /// Ends what holds timers up, and lets those begin that waited for that.
+  void let_begin(bool& held_up, std::vector<std::shared_ptr<Timer>>& timers) {
+    std::vector<std::shared_ptr<Timer>> waiting;
+    {
+      const std::lock_guard lock(mutex_);
+      held_up = false;
+      waiting.swap(timers);
+    }
+    for (const auto& timer : waiting) timer->begin(*this);
+  }
+
   mutable std::mutex mutex_;
-  bool stopped_ = false;                         ///< guarded by mutex_
-  Names members_;                                ///< guarded by mutex_
-  int candidacies_ = 0;                          ///< guarded by mutex_
-  std::vector<std::shared_ptr<Timer>> waiting_;  ///< guarded by mutex_
+  bool stopped_ = false;                           ///< guarded by mutex_
+  bool silent_ = false;                            ///< guarded by mutex_
+  Names members_;                                  ///< guarded by mutex_
+  int candidacies_ = 0;                            ///< guarded by mutex_
+  std::vector<std::shared_ptr<Timer>> waiting_;    ///< guarded by mutex_
+  std::vector<std::shared_ptr<Timer>> questions_;  ///< guarded by mutex_
 };
+
+WorkerOptions with_a_spout(discovery::Registry& registry, config::Metrics& metrics) {
+  return {.definition = TopologyDefinition::parse(
+              "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, builder: text, "
+              "fields: [text, driverID, time]}\n",
+              "t.yaml"),
+          .components = {},
+          .library_folders = {},
+          .registry = &registry,
+          .clock = nullptr,
+          .metrics = &metrics};
+}
+
+int channels_read(const config::Metrics& metrics) {
+  for (const auto& sample : metrics.collect()) {
+    if (sample.name == "iotcloud_spout_channels") return static_cast<int>(sample.value);
+  }
+  return 0;
+}
 
 TEST_F(Endpoints, UnitsThatAWorkerGaveAwayAndGotBackBeforeItReadThemAreRead) {
   constexpr int drivers = 4;
@@ -125,17 +173,7 @@ TEST_F(Endpoints, UnitsThatAWorkerGaveAwayAndGotBackBeforeItReadThemAreRead) {
   }
   StoppedTimers registry{discovery::make_registry({.url = url_})};
   config::Metrics metrics;
-  WorkerOptions options{
-      .definition = TopologyDefinition::parse(
-          "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, builder: text, "
-          "fields: [text, driverID, time]}\n",
-          "t.yaml"),
-      .components = {},
-      .library_folders = {},
-      .registry = &registry,
-      .clock = nullptr,
-      .metrics = &metrics};
-  Worker worker(std::move(options));
+  Worker worker(with_a_spout(registry, metrics));
   worker.start();
   ASSERT_TRUE(eventually([&] { return registry.candidacies() == drivers; })) << "it is alone, and stands for all units";
 
@@ -150,13 +188,59 @@ TEST_F(Endpoints, UnitsThatAWorkerGaveAwayAndGotBackBeforeItReadThemAreRead) {
   registry.let_callbacks_run();
 
   others.clear();
-  const auto read = [&] {
-    for (const auto& sample : metrics.collect()) {
-      if (sample.name == "iotcloud_spout_channels") return static_cast<int>(sample.value);
-    }
-    return 0;
-  };
-  EXPECT_TRUE(eventually([&] { return read() == drivers; })) << read() << " of " << drivers << " are read";
+  EXPECT_TRUE(eventually([&] { return channels_read(metrics) == drivers; }))
+      << channels_read(metrics) << " of " << drivers << " are read";
+}
+
+TEST_F(Endpoints, ARegistryThatIsSilentAfterTheFenceHoldsNothingElseUpAndNothingIsReadBeforeItsAnswer) {
+  show_driver("i");
+  StoppedTimers registry{discovery::make_registry({.url = url_})};
+  config::Metrics metrics;
+  auto options = with_a_spout(registry, metrics);
+  const auto fence = std::make_shared<StandstillFence>();
+  options.fence = fence;
+  Worker worker(std::move(options));
+  worker.start();
+  ASSERT_TRUE(eventually([&] { return channels_read(metrics) == 1; }));
+
+  registry.be_silent();
+  fence->raise();
+  fence->beat();
+  ASSERT_TRUE(eventually([&] { return registry.asked() == 1; }));
+  registry.let_callbacks_run();
+  EXPECT_EQ(channels_read(metrics), 0);
+  registry.answer();
+  registry.let_callbacks_run();
+  EXPECT_EQ(channels_read(metrics), 0) << "what the registry says of elections is heard first";
+  registry.go_off();
+  EXPECT_TRUE(eventually([&] { return channels_read(metrics) == 1; }));
+}
+
+TEST_F(Endpoints, AfterTheFenceARegistryThatWasAwayIsAskedAgain) {
+  show_driver("i");
+  StoppedTimers registry{discovery::make_registry({.url = url_})};
+  const auto server = discovery::embedded::RegistryServer::named(url_.substr(url_.find("//") + 2));
+  config::Metrics metrics;
+  auto options = with_a_spout(registry, metrics);
+  const auto fence = std::make_shared<StandstillFence>();
+  options.fence = fence;
+  Worker worker(std::move(options));
+  worker.start();
+  ASSERT_TRUE(eventually([&] { return channels_read(metrics) == 1; }));
+
+  const auto session = server->sessions().back();
+  registry.be_silent();
+  fence->raise();
+  fence->beat();
+  ASSERT_TRUE(eventually([&] { return registry.asked() == 1; }));
+  server->partition(session);
+  ASSERT_TRUE(eventually([&] { return registry.session() != discovery::SessionState::connected; }));
+  server->restore(session);
+  ASSERT_TRUE(eventually([&] { return registry.session() == discovery::SessionState::connected; }));
+  registry.let_callbacks_run();
+  registry.go_off();
+  EXPECT_TRUE(eventually([&] { return registry.asked() == 2; }))
+      << "what it says now may be earlier than what it has to say of elections";
 }
 
 }  // namespace

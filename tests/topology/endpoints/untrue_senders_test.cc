@@ -131,6 +131,19 @@ TEST_F(UntrueSenders, OnASharedChannelLeadToNoInstanceThatTheRegistryHasNotToldO
   EXPECT_THAT(to_victim_.texts(), IsEmpty());
 }
 
+/// What SECURITY.md says that a driver host reaches, and all of its gateway's.
+TEST_F(UntrueSenders, OnASharedChannelAreBelievedInTheNameOfAnotherInstanceOfTheSameGateway) {
+  show("mine", "gateway-1", true);
+  show("fellow", "gateway-1", true);
+  run();
+  Mailbox to_fellow(*broker_, "gateway-1.d.fellow.down");
+  ASSERT_TRUE(reads(1));
+  writer("gateway-1.d.up")->publish(message("drive", "fellow"));
+  ASSERT_TRUE(to_fellow.wait_for(1));
+  EXPECT_THAT(to_fellow.texts(), ElementsAre("drive"));
+  EXPECT_EQ(metric("iotcloud_spout_untrue_senders_total"), 0);
+}
+
 TEST_F(UntrueSenders, GoToTheDeadLettersInTheNameOfTheirChannel) {
   show("mine", "gateway-1");
   show("victim", "gateway-2");
@@ -215,6 +228,26 @@ TEST_F(UntrueRecords, HaveNothingReadInTheNameOfAnotherInstance) {
   writer("gateway-2.d.victim.up")->publish(message("true", "victim"));
   ASSERT_TRUE(to_victim_.wait_for(1));
   EXPECT_THAT(to_victim_.texts(), ElementsAre("true"));
+}
+
+/// What SECURITY.md says that whoever can write a channel's record chooses.
+TEST_F(UntrueRecords, ChooseTheTopicBelowTheInstancesOwnNamesAndWithoutUsersTheAddress) {
+  show("mine", "gateway-1");
+  run();
+  ASSERT_TRUE(reads(1));
+  brokers::BrokerOptions of_thief;
+  of_thief.urls = {url_ + "-of-the-thief"};
+  const auto elsewhere = brokers::make_broker(of_thief);
+  Mailbox commands(*elsewhere, "gateway-1.d.mine.other");
+  auto untrue = channel_record("mine", "down", discovery::Direction::in);
+  untrue.gateway = "gateway-1"_gateway;
+  untrue.properties = {{"routingKey", "other"}};
+  untrue.broker_url = of_thief.urls.front();
+  put_channel(untrue);
+  until_heard();
+  writer("gateway-1.d.mine.up")->publish(message("drive", "mine"));
+  ASSERT_TRUE(commands.wait_for(1));
+  EXPECT_THAT(to_mine_.texts(), IsEmpty());
 }
 
 /// What the filter does with the messages of a shared channel of gateway-1, at times that the test says.

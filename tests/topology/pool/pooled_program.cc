@@ -32,11 +32,12 @@ int main(int argc, char** argv) {
   }
   if (wanted == "crash") std::abort();
   if (wanted == "look around") {
-    // Which of these a worker may: read a file of the pool, make one in its own folder, connect to a worker's socket as
-    // its pool does, and trace a process.
+    // Which of these a worker may: read a file of the pool, and a secret that a topology's file names, make a file in
+    // its own folder, connect to a worker's socket as its pool does, and trace a process.
     std::string found;
     if (access((folder + "/../../secret").c_str(), R_OK) == 0 && std::ifstream(folder + "/../../secret"))
       found += "secret ";
+    if (std::ifstream(folder + "/../../../of-workers")) found += "of-workers ";
     if (std::ofstream(folder + "/mine")) found += "folder ";
     if (processes::connect_in(folder, topology::pooled::socket_name)) found += "socket ";
     if (ptrace(PTRACE_TRACEME, 0, nullptr, nullptr) == 0) found += "ptrace ";

@@ -1,9 +1,12 @@
 // Workers that systemd starts under another account than their pool's.
 #include <filesystem>
+#include <fstream>
+#include <string>
 #include <utility>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <sys/fsuid.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
@@ -69,6 +72,25 @@ TEST_F(StartedWorkersTest, AreOfTheOtherUserAndObeyTheirPool) {
 TEST_F(StartedWorkersTest, ReachNoFileOfTheirPoolAndNoWorkersSocketAndChangeNothingInTheirFolder) {
   const Systemd systemd(folder_, "nobody");
   EXPECT_EQ(look_around(), "ptrace ") << "what is left for the filter of system calls";
+}
+
+/// SECURITY.md: a pool's thief has the pool's user, and runs what it wants in a worker.
+TEST_F(StartedWorkersTest, ReadWhatTheirTopologiesFilesNameAndTheirPoolDoesSoByThemOrIfItHasTheirUser) {
+  const std::string secret = folder_ + "/of-workers";
+  tests::write_file(secret, "the broker's password");
+  chmod(secret.c_str(), 0600);
+  const uid_t pool = processes::find_account("daemon").user;
+  const auto pool_reads_that_of = [&](uid_t owner) {
+    EXPECT_EQ(chown(secret.c_str(), owner, static_cast<gid_t>(-1)), 0);
+    setfsuid(pool);
+    const bool read = std::ifstream(secret).good();
+    setfsuid(geteuid());
+    return read;
+  };
+  EXPECT_TRUE(pool_reads_that_of(pool)) << "of workers with its user";
+  EXPECT_FALSE(pool_reads_that_of(nobody_));
+  const Systemd systemd(folder_, "nobody");
+  EXPECT_EQ(look_around(), "of-workers ptrace ");
 }
 
 TEST_F(StartedWorkersTest, DoTheSameWhereThePoolIsRootAndStartsThemItself) {

@@ -23,7 +23,7 @@ class Reliability : public testing::Test {
     runtime->start();
     runtime->run_until_idle();
   }
-  BoltFactory keeper(Fields fields = {}) {
+  BoltFactory keeper(const Fields& fields = {}) {
     return bolt(
         [this](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
           collectors.push_back(&out);
@@ -258,6 +258,48 @@ TEST_F(Reliability, ATupleDroppedWithoutAckFailsByTimeAndDoesNotHoldUpAStop) {
   EXPECT_TRUE(runtime->stop(0ms));
 }
 
+TEST_F(Reliability, ATreeWhoseEndIsKnownIsForgottenWhenItsLastTupleIsSettled) {
+  const auto origin = std::make_shared<Reader>();
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper(), 2).all_grouping("in"); },
+        bench.options());
+  source->come_from(origin);
+  source->put(Values(1));
+  pass(40s);
+  source->put(Values(2));
+  settle(2, false);
+  ASSERT_THAT(source->failed(), ElementsAre(1, 2));
+  source->come_from(nullptr);
+  EXPECT_EQ(origin.use_count(), 3) << "both trees, as tuples of theirs are still there";
+  for (const std::size_t which : {0U, 1U, 3U}) settle(which, true);
+  EXPECT_EQ(origin.use_count(), 1);
+  EXPECT_THAT(source->acked(), IsEmpty());
+  EXPECT_EQ(runtime->snapshot().component("in").failed, 2U);
+}
+
+TEST_F(Reliability, ATupleThatIsDroppedInACallOfAnotherTopologyIsLostInItsOwn) {
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); },
+        bench.options());
+  source->put(Values(1));
+  ASSERT_EQ(kept.size(), 1U);
+  auto elsewhere = std::make_shared<Source>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(elsewhere));
+  builder
+      .set_bolt("drops", bolt([this](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                  kept.clear();
+                  out.ack(tuple);
+                }))
+      .shuffle_grouping("in");
+  Runtime other(builder.build("other"), bench.options());
+  other.start();
+  elsewhere->put(Values(1));
+  other.run_until_idle();
+  EXPECT_THAT(elsewhere->acked(), ElementsAre(1));
+  runtime->run_until_idle();
+  EXPECT_TRUE(runtime->stop(0ms)) << "nobody waits for a lost tuple";
+  EXPECT_THAT(source->acked(), IsEmpty());
+}
+
 TEST_F(Reliability, ASecondAckOrFailIsIgnored) {
   start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper(), 2).all_grouping("in"); },
         bench.options());
@@ -335,6 +377,21 @@ TEST_F(Reliability, MeasuresTheTimeToTheAckByTheTopologysClock) {
   EXPECT_EQ(latency.max_ns, 1e9);
 }
 
+TEST_F(Reliability, CountsEveryAckInItsLatencyAlsoOfThoseThatComeTogether) {
+  start([this](TopologyBuilder& builder) { builder.set_bolt("keep", keeper()).shuffle_grouping("in"); },
+        bench.options());
+  for (int i = 0; i < 3; ++i) source->put(Values(i));
+  pass(1s);
+  for (int i = 0; i < 2; ++i) source->put(Values(i));
+  pass(1s);
+  for (std::size_t which = 0; which < 5; ++which) collectors.at(which)->ack(kept.at(which));
+  runtime->run_until_idle();
+  const auto latency = runtime->snapshot().component("in").complete_latency;
+  EXPECT_EQ(latency.count, 5U);
+  EXPECT_EQ(latency.max_ns, 2e9);
+  EXPECT_EQ(latency.mean_ns, 8e9 / 5);
+}
+
 TEST(ReliabilityUnderThreads, AcksFromOtherThreadsAccountForEveryTuple) {
   auto source = std::make_shared<Source>();
   struct Shared {
@@ -379,6 +436,36 @@ TEST(ReliabilityUnderThreads, AcksFromOtherThreadsAccountForEveryTuple) {
   }
   EXPECT_EQ(runtime.snapshot().component("in").pending, 0U);
   EXPECT_TRUE(runtime.stop(120s));
+}
+
+TEST(ReliabilityUnderThreads, EveryReceiverOfATupleSettlesItsOwnDelivery) {
+  constexpr std::size_t count = 2000;
+  auto source = std::make_shared<Source>();
+  config::Metrics metrics;
+  RuntimeOptions options;
+  options.threads = 3;
+  options.message_timeout = std::chrono::hours(1);  // on a busy machine each yield() below may cost milliseconds
+  options.metrics = &metrics;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("pass", pass_bolt(), 3).all_grouping("in");
+  builder
+      .set_bolt("last", bolt([](const Tuple& tuple, OutputCollector& out, const TopologyContext& context) {
+                  if (tuple.get<std::int64_t>(0) % 8 == 0) std::this_thread::yield();
+                  if (context.task_index == 0 && tuple.get<std::int64_t>(0) % 10 == 0) return out.fail(tuple);
+                  out.ack(tuple);
+                }),
+                3)
+      .all_grouping("pass");
+  Runtime runtime(builder.build("many"), options);
+  runtime.start();
+  for (std::size_t i = 0; i < count; ++i) source->lay(Values(i));
+  source->wake();
+  EXPECT_TRUE(eventually([&] { return source->acked().size() + source->failed().size() == count; }));
+  EXPECT_TRUE(runtime.stop(120s));
+  EXPECT_EQ(source->failed().size(), count / 10);
+  const Snapshot done = runtime.snapshot();
+  EXPECT_EQ(done.component("last").acked + done.component("last").failed, 9 * count);
 }
 
 }  // namespace

@@ -33,12 +33,13 @@ class HandClock final : public config::Clock {
 /// Each slice is a call of the test's.
 class Job final : public Runnable {
  public:
-  Job(Executors& executors, std::function<bool(Lane&)> work) : Runnable(executors), work_(std::move(work)) {}
+  Job(Executors& executors, std::function<bool(Lane&)> work, Role role = Role::worker)
+      : Runnable(executors, role), work_(std::move(work)) {}
   bool slice(Lane& lane) override {
     const OwnCall own(lane, *this);
     return work_(lane);
   }
-  std::int64_t waiting_ns() const override { return 0; }
+  std::int64_t worth_moving_ns() const override { return 0; }
   void signal(std::uint32_t bits) override { signals.push_back(bits); }
   void hangs(std::int64_t for_ns) override { hung_ns.push_back(for_ns); }
 
@@ -97,6 +98,53 @@ TEST_F(SchedulerTest, WhatIsMadeReadyInASliceRunsOnTheSameLaneAfterIt) {
   scheduler_.run_now(ahead);
   EXPECT_THAT(done_, ElementsAre("ahead", "behind"));
   EXPECT_EQ(first, second);
+}
+
+TEST_F(SchedulerTest, WhatASliceHasTakenRunsNextAndNobodyElseMayTakeIt) {
+  Job behind(many_, note("behind"));
+  Job taken(many_, note("taken"));
+  Job ahead(many_, [&](Lane&) {
+    scheduler_.schedule(behind);
+    EXPECT_TRUE(scheduler_.take(taken));
+    EXPECT_FALSE(scheduler_.take(taken));
+    scheduler_.schedule(taken);  // it will run anyway
+    scheduler_.run_taken(taken, true);
+    EXPECT_FALSE(scheduler_.idle());
+    done_.push_back("ahead");
+    return false;
+  });
+  for (Job* job : {&behind, &taken, &ahead}) scheduler_.release(*job, false);
+  scheduler_.run_now(ahead);
+  EXPECT_THAT(done_, ElementsAre("ahead", "taken", "behind"));
+  EXPECT_TRUE(scheduler_.idle());
+  EXPECT_TRUE(scheduler_.take(taken));  // outside of slices: it waits for the pool
+  scheduler_.run_taken(taken, true);
+  scheduler_.run_until_idle();
+  EXPECT_EQ(done_.back(), "taken");
+}
+
+TEST_F(SchedulerTest, ASourceWaitsUntilTheOthersAreDoneButNotForLong) {
+  int sources = 0, long_ones = 0;
+  Job source(
+      many_,
+      [&](Lane&) {
+        done_.push_back("source");
+        return ++sources < 2;
+      },
+      Runnable::Role::source);
+  Job long_one(many_, [&](Lane& lane) {
+    done_.push_back("long");
+    lane.now_ns += 800'000;  // as if it had taken so long
+    return ++long_ones < 4;
+  });
+  Job begin(many_, [&](Lane&) {
+    scheduler_.schedule(source);
+    scheduler_.schedule(long_one);
+    return false;
+  });
+  for (Job* job : {&source, &long_one, &begin}) scheduler_.release(*job, false);
+  scheduler_.run_now(begin);
+  EXPECT_THAT(done_, ElementsAre("long", "long", "source", "long", "long", "source"));
 }
 
 TEST_F(SchedulerTest, NewsDuringASliceIsAnotherSlice) {

@@ -70,6 +70,8 @@ std::string error_of(const std::function<void(const Tuple&)>& use) {
 TEST(Tuple, IsReadByNameAndPosition) {
   EXPECT_EQ(error_of([](const Tuple& tuple) {
               EXPECT_EQ(tuple.get<std::string>("name"), "turtle");
+              EXPECT_EQ(tuple.get<std::string_view>("name"), "turtle");
+              EXPECT_EQ(tuple.get<std::string_view>(0).data(), tuple.get<std::string>(0).data()) << "no copy";
               EXPECT_EQ(tuple.get<std::int64_t>(1), 7);
               EXPECT_EQ(tuple.source_component(), "in");
               EXPECT_EQ(tuple.source_stream(), "default");
@@ -87,6 +89,8 @@ TEST(Tuple, SaysWhatItHasWhenAskedForWhatItHasNot) {
   EXPECT_THAT(error_of([](const Tuple& tuple) { tuple.at(2); }), HasSubstr("no field number 2"));
   EXPECT_THAT(error_of([](const Tuple& tuple) { tuple.get<double>("size"); }),
               AllOf(HasSubstr("\"size\""), HasSubstr("is of kind int, not double")));
+  EXPECT_THAT(error_of([](const Tuple& tuple) { tuple.get<std::string_view>("size"); }),
+              HasSubstr("is of kind int, not string"));
 }
 
 }  // namespace

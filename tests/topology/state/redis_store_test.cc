@@ -673,5 +673,36 @@ TEST(ARedisWithTls, LetsInWhoKnowsThePasswordAndIsBelievedOnlyWithItsAuthority) 
   EXPECT_THAT(problem_of([&] { state("/absent", own + trusted); }), HasSubstr("cannot be read"));
 }
 
+TEST(ARedisWithTls, IsLeftWhenItsCertificateIsRevokedOnOpenConnectionsTooAndAnothersIsNoReason) {
+  tests::PrivateServer server("redis.py", {"--tls"});
+  const std::string folder = server.folder().string();
+  std::ofstream(folder + "/password") << tests::server_password << "\n";
+  const auto revoke = [&](const std::string& names) {
+    const std::string command =
+        "/usr/bin/python3 -c 'import sys; sys.path.insert(0, sys.argv[1]); import certificates; "
+        "certificates.Certificates(sys.argv[2]).revoke(" +
+        names + ")' '" IOTCLOUD_TEST_SERVERS "' '" + folder + "'";
+    ASSERT_EQ(std::system(command.c_str()), 0);
+  };
+  revoke("");
+  const std::string url = server.url() + "?password_file=" + folder + "/password&certificate_file=" + folder +
+                          "/client.pem&key_file=" + folder + "/client.key&ca_file=" + folder +
+                          "/ca.pem&revoked_file=" + folder + "/revoked.pem";
+  const auto store = make_state_store(url);
+  const auto problem = [&] { return problem_of([&] { KeyValueState(store, {"t", "count", 0, 1}).get("key"); }); };
+  const tests::CapturedLog log;
+  revoke("\"client\"");
+  ASSERT_TRUE(tests::eventually([&] { return !problem().empty() || log.contains("open connections obey it"); }));
+  EXPECT_EQ(problem(), "");
+  revoke("\"server\"");
+  ASSERT_TRUE(tests::eventually([&] { return problem().find("has been revoked") != std::string::npos; })) << problem();
+  EXPECT_TRUE(tests::eventually([&] { return problem().find("certificate revoked") != std::string::npos; }))
+      << problem();
+  revoke("");
+  EXPECT_TRUE(tests::eventually([&] { return problem().empty(); })) << problem();
+  EXPECT_THAT(problem_of([] { make_state_store("redis://127.0.0.1?revoked_file=/etc/iotcloud/revoked.pem"); }),
+              HasSubstr("write rediss://"));
+}
+
 }  // namespace
 }  // namespace iotcloud::topology::workshop

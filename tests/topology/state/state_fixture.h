@@ -1,30 +1,17 @@
 #pragma once
 
-#include <cstdlib>
 #include <exception>
-#include <filesystem>
 #include <functional>
 #include <string>
-#include <system_error>
+
+#include <iotcloud/tests/temporary_folder.h>
 
 namespace iotcloud::topology::workshop {
 
-/// A folder that is removed after the test.
-class Folder {
+/// A folder for stores of state.
+class Folder : public tests::TemporaryFolder {
  public:
-  Folder() {
-    std::string name = (std::filesystem::temp_directory_path() / "iotcloud-state-XXXXXX").string();
-    path_ = mkdtemp(name.data());
-  }
-  ~Folder() {
-    std::error_code ignored;
-    std::filesystem::remove_all(path_, ignored);
-  }
-  std::string url(const std::string& name = "db") const { return "rocksdb://" + path_ + "/" + name; }
-  const std::string& path() const { return path_; }
-
- private:
-  std::string path_;
+  std::string url(const std::string& name = "db") const { return "rocksdb://" + path() + "/" + name; }
 };
 
 /// The message of what `call` throws; empty if it throws nothing.

@@ -258,12 +258,11 @@ class ForgetfulStore final : public StateStore {
 
 TEST(StateStore, OfASharedStoreATaskNoticesTheLossOfTheKeysThatItWroteLastAndForgetsOlderOnes) {
   auto store = std::make_shared<ForgetfulStore>();
-  KeyValueState state(store, {"t", "count", 0, 1});
-  constexpr std::size_t more = KeyValueState::most_remembered / 2;
-  const std::size_t all = KeyValueState::most_remembered + more;
+  constexpr std::size_t most = 100, more = most / 2, all = most + more;
+  KeyValueState state(store, {"t", "count", 0, 1}, most);
   const auto key = [](std::size_t i) { return "key " + std::to_string(i); };
   for (std::size_t i = 0; i < all;) {
-    for (const std::size_t end = i + 10'000; i < end && i < all; ++i) state.put(key(i), "x");
+    for (const std::size_t end = i + 10; i < end; ++i) state.put(key(i), "x");
     state.checkpoint();
   }
   store->entries.clear();

@@ -37,8 +37,8 @@ class Nimbuses(unittest.TestCase):
         cls.file = folder / "t.yaml"
         cls.file.write_text("topology.name: t\ntopology.library: %s\nspouts:\n  in: {class: test.Numbers}\n" % cls.library)
 
-    def run_program(self, *words):
-        return subprocess.run([self.program, *words, "--patience", "0"], text=True, capture_output=True, check=False)
+    def run_program(self, *words, patience="0"):
+        return subprocess.run([self.program, *words, "--patience", patience], text=True, capture_output=True, check=False)
 
     def submit(self, nimbus):
         return self.run_program("submit", self.file, "--limit", "0", "--nimbus", nimbus.address)
@@ -62,6 +62,19 @@ class Nimbuses(unittest.TestCase):
             self.assertEqual((done.returncode, done.stderr), (0, ""))
             self.assertEqual((first.calls, second.calls), (["getLeader", "activate", "getLeader"], ["activate"]))
 
+    def test_another_leader_is_waited_for_as_long_as_the_former_one_is_named(self):
+        with FakeNimbus() as first, FakeNimbus() as second:
+            answer = first.answer
+
+            def answer_until_asked_often(method, arguments):
+                if first.calls.count("getLeader") == 4:
+                    first.leads = second.address
+                return answer(method, arguments)
+            first.answer, first.failing["activate"] = answer_until_asked_often, lambda: None
+            done = self.run_program("activate", "t", "--nimbus", first.address, patience="60")
+            self.assertEqual((done.returncode, done.stderr), (0, ""))
+            self.assertEqual((first.calls, second.calls), (["getLeader", "activate"] + ["getLeader"] * 4, ["activate"]))
+
     def test_a_jar_is_sent_to_the_leader_that_takes_the_topology(self):
         with FakeNimbus() as first, FakeNimbus() as second:
             def loses():
@@ -79,8 +92,20 @@ class Nimbuses(unittest.TestCase):
             nimbus.failing["activate"] = lambda: None
             done = self.run_program("activate", "t", "--nimbus", nimbus.address)
             self.assertEqual(done.returncode, 1)
-            self.assertIn("Nimbus %s failed: Internal error processing activate; its log says more" % nimbus.address, done.stderr)
+            self.assertIn("Nimbus %s failed: Internal error processing activate; no other one leads; its log says more" %
+                          nimbus.address, done.stderr)
             self.assertEqual(nimbus.calls.count("activate"), 1)
+
+    def test_why_no_other_leader_was_found_is_told(self):
+        with FakeNimbus() as ended:
+            pass
+        with FakeNimbus() as nimbus:
+            def loses():
+                nimbus.leads = ended.address
+            nimbus.failing["activate"] = loses
+            done = self.run_program("activate", "t", "--nimbus", nimbus.address)
+            self.assertEqual(done.returncode, 1)
+            self.assertIn("no other one leads (%s: " % nimbus.address, done.stderr)
 
     def test_two_that_name_each_other_are_asked_once_each(self):
         with FakeNimbus() as first, FakeNimbus() as second:

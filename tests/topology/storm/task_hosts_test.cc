@@ -17,8 +17,10 @@
 #include <gmock/gmock.h>
 #include <unistd.h>
 
+#include "iotcloud/tests/config/hand_clock.h"
 #include <iotcloud/rpc/http/http_client.h>
 #include <iotcloud/topology/storm/shim/bolt_host.h>
+#include <iotcloud/topology/storm/shim/call_timer.h>
 #include <iotcloud/topology/storm/shim/grouping_host.h>
 #include <iotcloud/topology/storm/shim/spout_host.h>
 #include <iotcloud/topology/storm/shim/worker_pages.h>
@@ -218,6 +220,30 @@ TEST(StormBoltHost, TimesEachCallOfExecute) {
   task.execute(1, Values("x"));
   task.execute(2, Values("x"));
   EXPECT_EQ(timed("iotcloud_task_execute_seconds").count, before + 2);
+}
+
+TEST(StormCallTimer, MeasuresEachCallThatIsAloneAndOneInSoManyOfThoseThatFollowClosely) {
+  tests::HandClock clock;
+  config::Histogram histogram;
+  CallTimer timer(clock, histogram);
+  const auto call = [&](std::chrono::microseconds takes) { timer.time([&] { clock.advance(takes); }); };
+  for (int i = 0; i < 4; ++i) {
+    clock.advance(std::chrono::seconds(1));
+    call(std::chrono::microseconds(50));
+    EXPECT_EQ(histogram.summary().count, static_cast<std::uint64_t>(i + 1));
+  }
+  // The first of those that come closely shows that they do; the one that stands for the next ones comes with the last.
+  call(std::chrono::microseconds(1));
+  call(std::chrono::microseconds(1));
+  EXPECT_EQ(histogram.summary().count, 6u);
+  for (std::uint64_t i = 1; i < CallTimer::most; ++i) call(std::chrono::microseconds(1));
+  EXPECT_EQ(histogram.summary().count, 6u);
+  call(std::chrono::microseconds(1));
+  EXPECT_EQ(histogram.summary().count, 6 + CallTimer::most);
+  // After calls that took long each one is measured again, once one of them was.
+  for (std::uint64_t i = 0; i < CallTimer::most; ++i) call(std::chrono::milliseconds(1));
+  call(std::chrono::milliseconds(1));
+  EXPECT_EQ(histogram.summary().count, 7 + 2 * CallTimer::most);
 }
 
 TEST(StormBoltHost, KnowsItsPlaceInTheTopology) {

@@ -386,7 +386,7 @@ class SignedTopologyOrders : public WorkerControlTest {
     return eventually([&] { return refusals() >= count && told().error.find(why) != std::string::npos; });
   }
 
-  const security::test::Folder folder_;
+  const tests::TemporaryFolder folder_;
   const security::test::Signer master_{folder_ / "", "master"};
   const security::test::Signer thief_{folder_ / "", "thief"};
 };

@@ -13,6 +13,9 @@ bool meet(const Layout& a, const Layout& b) {
   return a.exclusive == b.exclusive && a.partitions.value_or(1) == b.partitions.value_or(1);
 }
 
+/// The end of what is said of a difference.
+constexpr const char* or_apart = "; or, if they need not meet, give one of the spouts a \"group\" of its own";
+
 /// For people.
 std::string text_of(const Layout& layout) {
   if (layout.exclusive) return "exclusive";
@@ -58,15 +61,14 @@ std::string PartitionAgreement::difference_of(const Source& source) const {
     if (layout.partitions && other.partitions) {
       return fmt::format(
           "its topics of the channels \"{}\" and \"{}\" have {} and {} partitions, so messages of one driver would not "
-          "meet in one worker; give both topics the same number (kafka-topics.sh --alter --partitions)",
-          first, channel, *layout.partitions, *other.partitions);
+          "meet in one worker; give both topics the same number (kafka-topics.sh --alter --partitions){}",
+          first, channel, *layout.partitions, *other.partitions, or_apart);
     }
     return fmt::format(
         "its channels \"{}\" and \"{}\" come to one bolt and are shared out among workers in different ways ({}: {}; "
         "{}: {}), so messages of one driver would not meet in one worker; deploy the driver with both shared or both "
-        "exclusive (channel.NAME.shared) and, if shared, on one broker (channel.NAME.broker); or, if they need not "
-        "meet, give one of the spouts a \"group\" of its own",
-        first, channel, first, text_of(layout), channel, text_of(other));
+        "exclusive (channel.NAME.shared) and, if shared, on one broker (channel.NAME.broker){}",
+        first, channel, first, text_of(layout), channel, text_of(other), or_apart);
   }
   return {};
 }

@@ -16,4 +16,14 @@ Arrivals::Facts Arrivals::facts() const {
   return facts_;
 }
 
+void Arrivals::set_units(ReadUnits units) {
+  const config::MutexLock lock(mutex_);
+  units_ = std::move(units);
+}
+
+ReadUnits Arrivals::units() const {
+  const config::MutexLock lock(mutex_);
+  return units_;
+}
+
 }  // namespace iotcloud::topology

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include <iotcloud/config/mutex.h>
 
@@ -27,6 +28,19 @@ struct Backlog {
   }
 };
 
+/// The units of placement that the tasks of one spout read in this worker, in the order of their names.
+struct ReadUnits {
+  struct Unit {
+    std::string name;  ///< a driver instance, or a driver on a gateway, perhaps with a partition
+    int task = 0;      ///< index of the task that reads it
+    friend bool operator==(const Unit&, const Unit&) = default;
+  };
+  std::vector<Unit> units;  ///< most_units at most
+  std::size_t more = 0;     ///< units that are not listed
+  static constexpr std::size_t most_units = 2'000;
+  friend bool operator==(const ReadUnits&, const ReadUnits&) = default;
+};
+
 /// What is on its way to one spout component: how old messages are when they come, and how many wait at brokers. Thread
 /// safe.
 class Arrivals {
@@ -46,12 +60,15 @@ class Arrivals {
   /// To be called once a second. \param backlog as it is now
   void look(Backlog backlog);
   Facts facts() const;
+  void set_units(ReadUnits units);
+  ReadUnits units() const;
 
  private:
   static constexpr std::int64_t none = -1;
   std::atomic<std::int64_t> oldest_ms_{none};  ///< of the messages that came since the last look
   mutable config::Mutex mutex_;
   Facts facts_ IOTCLOUD_GUARDED_BY(mutex_);
+  ReadUnits units_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 }  // namespace iotcloud::topology

@@ -4,6 +4,7 @@
 #include <fmt/format.h>
 
 #include <iotcloud/topology/endpoints/logger.h>
+#include <iotcloud/topology/endpoints/message_fields.h>
 #include <iotcloud/topology/endpoints/receiving/broker_spout.h>
 
 namespace iotcloud::topology {
@@ -18,10 +19,24 @@ constexpr std::chrono::seconds quiet_time{10};
 /// Why a message is given up.
 constexpr const char* tuple_failed = "the tuple failed or timed out";
 
+/// The origin of a message that is followed.
+class TracedOrigin final : public TupleOrigin {
+ public:
+  TracedOrigin(std::shared_ptr<const TupleOrigin> origin, std::shared_ptr<MessageTrace> trace)
+      : origin_(std::move(origin)), trace_(std::move(trace)) {}
+  bool comes_again() const override { return origin_->comes_again(); }
+  TupleTrace* trace() const override { return trace_.get(); }
+
+ private:
+  const std::shared_ptr<const TupleOrigin> origin_;
+  const std::shared_ptr<MessageTrace> trace_;
+};
+
 }  // namespace
 
 void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutputCollector& collector) {
   collector_ = &collector;
+  component_ = context.component;
   const config::Labels labels{{"topology", context.topology}, {"component", context.component}};
   auto& metrics = *services_->metrics;
   received_ = &metrics.counter("iotcloud_spout_received_total", "Messages taken from brokers", labels);
@@ -34,7 +49,8 @@ void BrokerSpout::open(const Config&, const TopologyContext& context, SpoutOutpu
   filter_.emplace(placement_->known_instances(), !endpoint_.where.everything(), metrics, labels);
   waker_ = context.waker;
   fence_count_ = services_->fence->count();
-  queue_ = std::make_shared<SpoutQueue>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker);
+  queue_ = std::make_shared<SpoutQueue>(static_cast<std::size_t>(endpoint_.reading.prefetch), context.waker,
+                                        services_->traces);
   placement_->join(context.task_index, context.task_count, queue_);
 }
 
@@ -42,6 +58,7 @@ void BrokerSpout::close() {
   if (dead_letters_) dead_letters_->drain(letters_limit);
   placement_->leave();  // first: an open reader would get again at once what the closed queue gives back to the broker
   queue_->close();
+  traced_.clear();
   slots_.clear();  // messages under way go back to the broker
   next_.reset();
   free_.clear();
@@ -133,12 +150,31 @@ void BrokerSpout::emit(ChannelMessage arrival) {
     return;
   }
   if (endpoint_.reading.automatic_ack) {
+    if (services_->traces->any()) {
+      if (const auto trace = trace_of(arrival)) trace->done(services_->clock->now(), "not followed");
+    }
     collector_->emit_to(endpoint_.stream, std::move(values));
     return;
   }
   ++arrival.tries;
-  const std::shared_ptr<TopicReader> origin = arrival.reader.shared();
-  collector_->emit_to(endpoint_.stream, std::move(values), keep(std::move(arrival)), origin);
+  std::shared_ptr<const TupleOrigin> origin = arrival.reader.shared();
+  const auto trace = services_->traces->any() ? trace_of(arrival) : nullptr;
+  if (trace) origin = std::make_shared<TracedOrigin>(std::move(origin), trace);
+  const MessageId id = keep(std::move(arrival));
+  if (trace) traced_[id] = trace;
+  collector_->emit_to(endpoint_.stream, std::move(values), id, std::move(origin));
+}
+
+std::shared_ptr<MessageTrace> BrokerSpout::trace_of(const ChannelMessage& arrival) {
+  return services_->traces->take(arrival.delivery.message, arrival.reader->topic().name, component_, arrival.tries > 1);
+}
+
+/// Ends the trace of a message, if it has one. \param outcome empty: the message is tried again
+void BrokerSpout::end_trace(MessageId id, const char* outcome) {
+  const auto found = traced_.find(id);
+  if (found == traced_.end()) return;
+  if (*outcome != '\0') found->second->done(services_->clock->now(), outcome);
+  traced_.erase(found);
 }
 
 std::chrono::microseconds BrokerSpout::poll_period() const {
@@ -156,6 +192,7 @@ std::chrono::microseconds BrokerSpout::poll_period() const {
 }
 
 void BrokerSpout::ack(MessageId id) {
+  if (!traced_.empty()) end_trace(id, "acked");
   auto arrival = take(id);
   if (!arrival) return;
   arrival->delivery.settle(brokers::Settlement::accept);
@@ -172,9 +209,11 @@ bool BrokerSpout::comes_again(const ChannelMessage& arrival) {
 void BrokerSpout::fail(MessageId id) {
   auto arrival = take(id);
   if (!arrival) return;
+  const bool again = endpoint_.reading.requeue && arrival->tries - arrival->excused < endpoint_.reading.max_tries;
+  if (!traced_.empty()) end_trace(id, again ? "" : "given up");
   if (comes_again(*arrival)) {
     retries_.done(*arrival);
-  } else if (endpoint_.reading.requeue && arrival->tries - arrival->excused < endpoint_.reading.max_tries) {
+  } else if (again) {
     try_again(std::move(*arrival));
   } else {
     retries_.done(*arrival);
@@ -186,6 +225,7 @@ void BrokerSpout::fail(MessageId id) {
 void BrokerSpout::retry(MessageId id) {
   auto arrival = take(id);
   if (!arrival) return;
+  if (!traced_.empty()) end_trace(id, "");
   if (comes_again(*arrival)) {
     retries_.done(*arrival);
   } else {
@@ -251,50 +291,8 @@ void BrokerSpout::turn_away(ChannelMessage arrival, const std::string& reason) {
 }
 
 Values BrokerSpout::values_of(const ChannelMessage& arrival) const {
-  const brokers::Message& message = arrival.delivery.message;
-  const Values built = builder_ ? built_values_of(arrival) : Values();
-  std::size_t next_built = 0;
-  Values values;
-  for (std::size_t i = 0; i < endpoint_.roles.size(); ++i) {
-    switch (endpoint_.roles[i]) {
-      case FieldRole::payload:
-        if (builder_) {
-          values.add(built[next_built++]);
-        } else if (endpoint_.form == PayloadForm::text) {
-          values.add(std::string(message.payload.text()));
-        } else {
-          values.add(message.payload);
-        }
-        break;
-      case FieldRole::driver_id:
-        values.add(message.driver_id);
-        break;
-      case FieldRole::time:
-        values.add(message.time_ms);
-        break;
-      case FieldRole::gateway_id:
-        values.add(message.gateway_id);
-        break;
-      case FieldRole::channel:
-        values.add(endpoint_.channel);
-        break;
-      case FieldRole::redelivered:
-        values.add(arrival.delivery.redelivered || arrival.delivery.tries > 1 || arrival.tries > 0);
-        break;
-      case FieldRole::property: {
-        const std::string* property = message.properties.find(endpoint_.properties[i]);
-        values.add(property == nullptr ? Value() : Value(*property));
-        break;
-      }
-    }
-  }
-  return values;
-}
-
-Values BrokerSpout::built_values_of(const ChannelMessage& arrival) const {
-  Values built = builder_->read(arrival.delivery.message, payload_fields_);
-  if (built.size() == payload_fields_.size()) return built;
-  throw std::length_error(fmt::format("it made {} values for the fields {}", built.size(), payload_fields_.list()));
+  const bool redelivered = arrival.delivery.redelivered || arrival.delivery.tries > 1 || arrival.tries > 0;
+  return topology::values_of(arrival.delivery.message, endpoint_, payload_fields_, builder_.get(), redelivered);
 }
 
 MessageId BrokerSpout::keep(ChannelMessage arrival) {

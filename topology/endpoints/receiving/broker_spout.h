@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -62,9 +63,10 @@ class BrokerSpout final : public Spout {
   static std::string others(Complaints& complaints);
   void turn_away(ChannelMessage arrival, const std::string& reason);
   Values values_of(const ChannelMessage& arrival) const;
-  Values built_values_of(const ChannelMessage& arrival) const;
   MessageId keep(ChannelMessage arrival);
   std::optional<ChannelMessage> take(MessageId id);
+  std::shared_ptr<MessageTrace> trace_of(const ChannelMessage& arrival);
+  void end_trace(MessageId id, const char* outcome);
 
   const EndpointServicesPtr services_;
   const std::shared_ptr<SpoutPlacement> placement_;
@@ -74,6 +76,8 @@ class BrokerSpout final : public Spout {
   const std::shared_ptr<Arrivals> arrivals_;
   std::unique_ptr<MessageBuilder> builder_;  ///< null for the forms `bytes` and `text`
   SpoutOutputCollector* collector_ = nullptr;
+  std::string component_;                                      ///< set by open()
+  std::map<MessageId, std::shared_ptr<MessageTrace>> traced_;  ///< of messages under way that are followed
   std::shared_ptr<SpoutQueue> queue_;
   SpoutWaker waker_;
   Retries retries_;

@@ -28,9 +28,15 @@ constexpr std::chrono::milliseconds limit_pause{500};
 constexpr std::chrono::seconds arrivals_pause{1};
 constexpr std::size_t most_questions = 200;
 
-/// After the fence was raised: how often the registry is asked whether it is there, and after what time without it
-/// reading goes on; a question itself may take as long as any call to the registry.
-constexpr std::chrono::milliseconds question_pause{10}, question_limit{2000};
+/// After the fence was raised: how often it is looked whether the registry has answered, and after what time without an
+/// answer reading goes on.
+constexpr std::chrono::milliseconds answer_pause{10}, answer_limit{2000};
+
+/// How often it is tried to open topics that could not be opened.
+constexpr std::chrono::seconds opening_pause{2};
+
+/// The part of a component's troubles that tells of them.
+const std::string topics_part = "topics";
 
 /// The name of a channel's unit: for an exclusive channel that of its driver instance, for a shared one that of its
 /// gateway, with the partition's number behind a mark that no id has. The unit of partition 0 has the name of the
@@ -142,9 +148,9 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
     }
   });
   search->listener =
-      services_->fence->listen([this] { plan_soon(&SpoutPlacement::anew_, &SpoutPlacement::hold_back); });
+      services_->fence->listen([this] { plan_soon(&SpoutPlacement::after_fence_, &SpoutPlacement::hold_back); });
   services_->units->listen(source, component_,
-                           [this] { plan_soon(&SpoutPlacement::shared_anew_, &SpoutPlacement::share_out); });
+                           [this] { plan_soon(&SpoutPlacement::after_others_, &SpoutPlacement::share_out); });
   search->session = registry.on_session([this](discovery::SessionState state) {
     in_turn([&] {
       dispatcher_.assert_held();
@@ -203,20 +209,21 @@ void SpoutPlacement::join(int task_index, int task_count, std::shared_ptr<SpoutQ
 }
 
 void SpoutPlacement::leave() {
-  discovery::GuardPtr anew, shared_anew;
+  discovery::GuardPtr after_fence, after_others;
   {
     const config::MutexLock lock(mutex_);
     if (std::exchange(over_, true)) return;
     while (in_turn_) turn_over_.wait(mutex_);
-    anew.swap(anew_);
-    shared_anew.swap(shared_anew_);
+    after_fence.swap(after_fence_);
+    after_others.swap(after_others_);
     queues_.clear();
   }
   dispatcher_.assert_held();  // no callback begins any more
   search_.reset();
-  anew.reset();
-  shared_anew.reset();
+  after_fence.reset();
+  after_others.reset();
   plans_ = {};
+  question_.reset();
   differences_.clear();
   while (!differing_.empty()) {
     const auto shown = differing_.begin();
@@ -224,6 +231,7 @@ void SpoutPlacement::leave() {
     show_difference(Difference(shown->first));
   }
   units_.close();
+  show_missing();
   if (split_topics_) split_topics_->end();
 }
 
@@ -264,7 +272,8 @@ void SpoutPlacement::plan_what_follows() {
   if (units_.size() > 0 && !endpoint_.reading.automatic_ack) {
     plan(plans_.limit, limit_pause, &SpoutPlacement::look_for_limit);
   }
-  if (units_.held_back()) plan(plans_.anew, question_pause, &SpoutPlacement::read_anew);
+  if (units_.held_back()) plan(plans_.reading, answer_pause, &SpoutPlacement::read_anew);
+  if (units_.missing() > 0) plan(plans_.opening, opening_pause, &SpoutPlacement::open_missing);
   if (units_.readers() > 0) plan(plans_.arrivals, arrivals_pause, &SpoutPlacement::look_at_arrivals);
 }
 
@@ -474,7 +483,9 @@ void SpoutPlacement::on_session(discovery::SessionState state) {
     unconfirmed_.merge(units_.ending_instances());
     for (const auto& [instance, topic] : left_queues_) unconfirmed_.insert(instance);
   }
-  if (state == discovery::SessionState::connected) units_.registry_back();
+  if (state != discovery::SessionState::connected) return;
+  question_.reset();  // an answer that comes now may be earlier than what there is to say of elections
+  units_.registry_back();
 }
 
 discovery::GuardPtr SpoutPlacement::run_for_leader(const std::string& unit) {
@@ -512,8 +523,10 @@ std::shared_ptr<TopicReader> SpoutPlacement::open_reader(const discovery::Channe
                              {channel.gateway, channel.shared ? discovery::InstanceId() : channel.instance},
                              queue_of(task), services_->fence, services_->held);
   } catch (const config::Error& error) {
+    unreadable_ = fmt::format("{}: {}", key.second.name, error.what());
     if (complained_.insert(key.first.urls.front()).second) {
-      endpoints_logger.error("{}: {} cannot be read: {}", component_, key.second.name, error.what());
+      endpoints_logger.error("{}: {} cannot be read, which is tried again: {}", component_, key.second.name,
+                             error.what());
     }
     return nullptr;
   }
@@ -523,20 +536,35 @@ std::shared_ptr<TopicReader> SpoutPlacement::open_reader(const discovery::Channe
 
 void SpoutPlacement::hold_back() {
   units_.hold_back();
+  question_.reset();
   registry_answered_ = false;
-  questions_left_ = static_cast<int>(question_limit / question_pause);
+  looks_left_ = static_cast<int>(answer_limit / answer_pause);
 }
 
-/// Reads anew when the registry has answered, and what it had to say of elections before has been heard.
+/// Reads anew when the registry has answered, and what it had to say of elections before has been heard. The question
+/// is a watch, because a call would keep this turn, and the registry's other callbacks, waiting for a silent registry.
 void SpoutPlacement::read_anew() {
-  if (registry_answered_ || questions_left_-- <= 0) return units_.read_anew();
-  if (services_->registry->session() != discovery::SessionState::connected) return;
-  try {
-    services_->registry->get(path_ + "/members/" + services_->worker);
-    registry_answered_ = true;
-  } catch (const discovery::RegistryError& error) {
-    endpoints_logger.debug("{}: {}", component_, error.what());
+  if (registry_answered_ || looks_left_-- <= 0) {
+    question_.reset();
+    return units_.read_anew();
   }
+  if (question_ || services_->registry->session() != discovery::SessionState::connected) return;
+  question_ = services_->registry->watch_node(path_ + "/members/" + services_->worker, [this](const auto&) {
+    in_turn([&] {
+      dispatcher_.assert_held();
+      on_answer();
+    });
+  });
+}
+
+void SpoutPlacement::on_answer() {
+  registry_answered_ = true;
+  question_.reset();
+  plans_.reading = {};  // the next look is a whole pause away, so that what was said of elections is heard first
+}
+
+void SpoutPlacement::open_missing() {
+  units_.open_missing();
 }
 
 void SpoutPlacement::share_out() {
@@ -560,6 +588,7 @@ void SpoutPlacement::look_for_limit() {
 void SpoutPlacement::look_at_arrivals() {
   units_.ask_backlog(most_questions);
   arrivals_->look(units_.backlog());
+  if (units_.list_read_here(read_units_)) arrivals_->set_units(read_units_);
 }
 
 /// Writes one line in the log about all units taken and given up, because units come by the thousand.
@@ -569,8 +598,25 @@ void SpoutPlacement::tell() {
                         units_.read_here(), units_.size());
 }
 
+/// Shows how many topics cannot be opened.
+void SpoutPlacement::show_missing() {
+  if (unreadable_.empty()) return;
+  std::string text;
+  if (units_.missing() == 0) {
+    unreadable_.clear();
+  } else {
+    text = fmt::format("channel {} of driver {}: {} topic(s) cannot be read; every {} s it is tried again; {}",
+                       endpoint_.channel, endpoint_.driver, units_.missing(), opening_pause.count(), unreadable_);
+  }
+  services_->troubles->set(component_, topics_part, text);
+}
+
 void SpoutPlacement::report() {
-  if (units_.readers() == 0) arrivals_->look({});  // nobody asks any more
+  show_missing();
+  if (units_.readers() == 0) {  // nobody asks any more
+    arrivals_->look({});
+    if (units_.list_read_here(read_units_)) arrivals_->set_units(read_units_);
+  }
   services_->metrics
       ->gauge("iotcloud_spout_channels", "Channels that this worker reads; of split topics, partitions", labels())
       .set(static_cast<std::int64_t>(units_.readers()));

@@ -81,8 +81,8 @@ class SpoutPlacement {
     SpoutPlacement& placement;
   };
   std::shared_ptr<SpoutQueue> queue_of(int task) IOTCLOUD_EXCLUDES(mutex_);
-  /// Plans `call` in a turn soon, unless that is planned already. Any thread may call it. \param timer anew_ or
-  /// shared_anew_
+  /// Plans `call` in a turn soon, unless that is planned already. Any thread may call it. \param timer
+  /// after_fence_ or after_others_
   void plan_soon(discovery::GuardPtr SpoutPlacement::*timer, void (SpoutPlacement::*call)()) IOTCLOUD_EXCLUDES(mutex_);
   discovery::GuardPtr take(discovery::GuardPtr SpoutPlacement::*timer) IOTCLOUD_EXCLUDES(mutex_);
 
@@ -113,6 +113,7 @@ class SpoutPlacement {
   std::shared_ptr<TopicReader> open_reader(const discovery::ChannelRecord& channel, const UnitReaders::Key& key,
                                            std::optional<std::int32_t> partition, int task)
       IOTCLOUD_REQUIRES(dispatcher_);
+  void show_missing() IOTCLOUD_REQUIRES(dispatcher_);
   void report() IOTCLOUD_REQUIRES(dispatcher_);
   /// Of this component's metrics.
   config::Labels labels() const { return {{"topology", services_->topology.str()}, {"component", component_}}; }
@@ -123,7 +124,7 @@ class SpoutPlacement {
     discovery::GuardPtr timer;
   };
   struct PlannedCalls {
-    PlannedCall sharing, looking, telling, limit, arrivals, missing, anew;
+    PlannedCall sharing, looking, telling, limit, arrivals, missing, reading, opening;
   };
   /// Plans a call, unless it is planned already.
   void plan(PlannedCall& plan, std::chrono::milliseconds pause, void (SpoutPlacement::*call)())
@@ -132,6 +133,8 @@ class SpoutPlacement {
   void plan_what_follows() IOTCLOUD_REQUIRES(dispatcher_);
   void hold_back() IOTCLOUD_REQUIRES(dispatcher_);
   void read_anew() IOTCLOUD_REQUIRES(dispatcher_);
+  void on_answer() IOTCLOUD_REQUIRES(dispatcher_);
+  void open_missing() IOTCLOUD_REQUIRES(dispatcher_);
   void share_out() IOTCLOUD_REQUIRES(dispatcher_);
   void look() IOTCLOUD_REQUIRES(dispatcher_);
   void look_for_limit() IOTCLOUD_REQUIRES(dispatcher_);
@@ -153,9 +156,9 @@ class SpoutPlacement {
   std::map<int, std::shared_ptr<SpoutQueue>> queues_ IOTCLOUD_GUARDED_BY(mutex_);  ///< by task index
   bool over_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   /// Timer that calls hold_back(); null: no such call is planned.
-  discovery::GuardPtr anew_ IOTCLOUD_GUARDED_BY(mutex_);
+  discovery::GuardPtr after_fence_ IOTCLOUD_GUARDED_BY(mutex_);
   /// Timer that calls share_out() because of another spout's units; null: no such call is planned.
-  discovery::GuardPtr shared_anew_ IOTCLOUD_GUARDED_BY(mutex_);
+  discovery::GuardPtr after_others_ IOTCLOUD_GUARDED_BY(mutex_);
 
   /// The registry's dispatcher, in in_turn(); before it the last join(), after it the first leave().
   config::ThreadRole dispatcher_;
@@ -171,10 +174,13 @@ class SpoutPlacement {
   std::map<discovery::InstanceId, Difference> differences_ IOTCLOUD_GUARDED_BY(dispatcher_);
   /// The instances of differences_, as the troubles name them: mostly all of a gateway have the same difference.
   std::map<Difference, std::set<discovery::InstanceId>> differing_ IOTCLOUD_GUARDED_BY(dispatcher_);
+  std::string unreadable_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< a topic that could not be opened, and why
+  ReadUnits read_units_ IOTCLOUD_GUARDED_BY(dispatcher_);    ///< as arrivals_ has them
   PlannedCalls plans_ IOTCLOUD_GUARDED_BY(dispatcher_);
   // While the readers are held back:
   bool registry_answered_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;
-  int questions_left_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;  ///< how often it is asked at most
+  int looks_left_ IOTCLOUD_GUARDED_BY(dispatcher_) = 0;            ///< how often read_anew() still waits for the answer
+  discovery::GuardPtr question_ IOTCLOUD_GUARDED_BY(dispatcher_);  ///< a watch; null: it is not asked now
   /// Outgoing channels of instances that do not have the wanted one; the plan `missing` calls warn_of_missing().
   std::set<std::string> others_ IOTCLOUD_GUARDED_BY(dispatcher_);
   bool warned_of_missing_ IOTCLOUD_GUARDED_BY(dispatcher_) = false;  ///< or the call is planned

@@ -1,5 +1,6 @@
 #include <algorithm>
 
+#include <iotcloud/topology/endpoints/receiving/message_traces.h>
 #include <iotcloud/topology/endpoints/receiving/spout_queue.h>
 #include <iotcloud/topology/endpoints/receiving/topic_reader.h>
 
@@ -21,6 +22,8 @@ HeldReader& HeldReader::operator=(HeldReader&& other) noexcept {
 }
 
 void SpoutQueue::push(ChannelMessage arrival) {
+  if (traces_ && traces_->any())
+    traces_->came(arrival.delivery.message, arrival.reader->topic().name, arrival.reader->sender().driver.str());
   {
     const config::MutexLock lock(mutex_);
     if (closed_) return;

@@ -14,6 +14,7 @@
 
 namespace iotcloud::topology {
 
+class MessageTraces;
 class TopicReader;
 
 /// The help text of iotcloud_spout_rejected_total, a counter that two classes use.
@@ -56,7 +57,9 @@ struct ChannelMessage {
 /// half empty, so that a slow topology leaves messages in the broker. Thread safe.
 class SpoutQueue {
  public:
-  SpoutQueue(std::size_t limit, SpoutWaker waker) : limit_(limit), waker_(std::move(waker)) {}
+  /// \param traces are told of each message while somebody asks for them; null: nobody ever does
+  SpoutQueue(std::size_t limit, SpoutWaker waker, std::shared_ptr<MessageTraces> traces = nullptr)
+      : limit_(limit), waker_(std::move(waker)), traces_(std::move(traces)) {}
 
   /// Adds a message and wakes the spout. A reader's handler calls it; if the spout is idle, it and the bolts run on the
   /// calling thread (SpoutWaker::wake()).
@@ -78,6 +81,7 @@ class SpoutQueue {
 
   const std::size_t limit_;
   const SpoutWaker waker_;
+  const std::shared_ptr<MessageTraces> traces_;
   mutable config::Mutex mutex_;
   bool closed_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::deque<ChannelMessage> waiting_ IOTCLOUD_GUARDED_BY(mutex_);

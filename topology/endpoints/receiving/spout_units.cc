@@ -12,7 +12,7 @@ namespace iotcloud::topology {
 void SpoutUnits::add(const std::string& name, const discovery::ChannelRecord& channel, const UnitReaders::Key& topic,
                      std::optional<std::int32_t> partition) {
   begin_again(name);
-  const auto [place, fresh] = units_.try_emplace(name, reader_count_);
+  const auto [place, fresh] = units_.try_emplace(name, totals_);
   Unit& unit = place->second;
   unit.kind = channel.shared ? UnitKind::gateway : UnitKind::instance;
   unit.partition = partition;
@@ -91,11 +91,6 @@ void SpoutUnits::begin_again(const std::string& name) {
     needs_sharing_ = true;
     return;
   }
-  if (!unit.leads || unit.frozen) {
-    release(name, unit);
-    ending_.erase(ending);
-    return;
-  }
   unit.channels.clear();
   unit.task = std::exchange(unit.last_task, -1);
   loads_.add(static_cast<std::size_t>(unit.task), unit.kind);
@@ -157,9 +152,11 @@ void SpoutUnits::balance() {
 }
 
 void SpoutUnits::on_elected(const std::string& name) {
-  if (const auto ending = ending_.find(name); ending != ending_.end() && ending->second.waits_for_election()) {
+  if (const auto ending = ending_.find(name); ending != ending_.end()) {
     Unit& unit = ending->second;
     unit.leads = true;
+    unit.frozen = false;
+    if (!unit.waits_for_election()) return;
     unit.task = static_cast<int>(loads_.idlest(unit.kind));
     read(unit);
     begin_end(unit);
@@ -181,10 +178,10 @@ void SpoutUnits::on_elected(const std::string& name) {
 }
 
 void SpoutUnits::on_lost(const std::string& name, bool registry_away) {
-  if (const auto ending = ending_.find(name); ending != ending_.end()) ending->second.leads = false;
+  const auto ending = ending_.find(name);
   const auto found = units_.find(name);
-  if (found == units_.end()) return;
-  Unit& unit = found->second;
+  if (ending == ending_.end() && found == units_.end()) return;
+  Unit& unit = ending != ending_.end() ? ending->second : found->second;
   unit.leads = false;
   if (registry_away) {
     unit.frozen = true;
@@ -195,8 +192,10 @@ void SpoutUnits::on_lost(const std::string& name, bool registry_away) {
 }
 
 void SpoutUnits::registry_back() {
-  for (auto& [name, unit] : units_) {
-    if (std::exchange(unit.frozen, false) && !unit.leads) stop_reading(name, unit);
+  for (auto* units : {&units_, &ending_}) {
+    for (auto& [name, unit] : *units) {
+      if (std::exchange(unit.frozen, false) && !unit.leads) stop_reading(name, unit);
+    }
   }
   share_out();
   balance();
@@ -222,6 +221,14 @@ void SpoutUnits::read_anew() {
   }
 }
 
+void SpoutUnits::open_missing() {
+  for (auto* units : {&units_, &ending_}) {
+    for (auto& [name, unit] : *units) {
+      if (unit.readers.lacks_one()) read(unit);
+    }
+  }
+}
+
 void SpoutUnits::open_anew(Unit& unit) {
   unit.readers.close();
   read(unit);
@@ -242,6 +249,7 @@ void SpoutUnits::read(Unit& unit) {
 void SpoutUnits::stop_reading(const std::string& name, Unit& unit) {
   unit.readers.close();
   unit.move = Move::none;
+  unit.last_task = -1;
   if (unit.task < 0) return;
   loads_.remove(static_cast<std::size_t>(unit.task), unit.kind);
   unit.task = -1;
@@ -322,7 +330,8 @@ std::vector<SpoutUnits::EndedTopic> SpoutUnits::look_at_ends() {
     const std::size_t taken = unit.readers.taken(), in_hand = unit.readers.in_hand();
     const bool nothing_came = std::exchange(unit.taken, taken) == taken;
     const bool nothing_settled = std::exchange(unit.in_hand, in_hand) == in_hand;
-    const bool idle = nothing_came && nothing_settled && !held_back_ && !unit.readers.cut_off();
+    const bool idle =
+        nothing_came && nothing_settled && !held_back_ && !unit.readers.lacks_one() && !unit.readers.cut_off();
     unit.idle_looks = idle ? unit.idle_looks + 1 : 0;
     const bool over = in_hand == 0 && unit.idle_looks * look_period >= end_silence;
     const bool stuck = unit.idle_looks * look_period >= stuck_limit;
@@ -331,11 +340,12 @@ std::vector<SpoutUnits::EndedTopic> SpoutUnits::look_at_ends() {
       continue;
     }
     if (!over) {
-      endpoints_logger.warn(
-          "{}: {} has stopped and was not read to its end: {}; the broker keeps the rest", options_.component, name,
-          stuck ? fmt::format("{} message(s) were not settled for {} s", in_hand,
-                              std::chrono::duration_cast<std::chrono::seconds>(stuck_limit).count())
-                : fmt::format("for {} min messages came, or the broker was away", longest_end.count()));
+      std::string why = fmt::format("for {} min messages came, or the broker was away", longest_end.count());
+      if (unit.readers.lacks_one()) why = fmt::format("for {} min it could not be read", longest_end.count());
+      if (stuck)
+        why = fmt::format("{} message(s) were not settled for {} s", in_hand, stuck_limit / std::chrono::seconds(1));
+      endpoints_logger.warn("{}: {} has stopped and was not read to its end: {}; the broker keeps the rest",
+                            options_.component, name, why);
     }
     release(name, unit);
     if (unit.topic) ended.push_back({unit.instance, *unit.topic, unit.undeployed});
@@ -349,6 +359,27 @@ std::vector<SpoutUnits::EndedTopic> SpoutUnits::look_at_ends() {
 std::size_t SpoutUnits::read_here() const {
   return static_cast<std::size_t>(
       std::count_if(units_.begin(), units_.end(), [](const auto& entry) { return entry.second.task >= 0; }));
+}
+
+bool SpoutUnits::list_read_here(ReadUnits& list) const {
+  std::size_t listed = 0, more = 0;
+  bool changed = false;
+  for (const auto& [name, unit] : units_) {
+    if (unit.task < 0) continue;
+    if (listed == ReadUnits::most_units) {
+      ++more;
+      continue;
+    }
+    if (listed == list.units.size()) list.units.emplace_back();
+    auto& place = list.units[listed++];
+    if (place.task == unit.task && place.name == name) continue;  // mostly nothing has changed, and nothing is copied
+    place = {name, unit.task};
+    changed = true;
+  }
+  changed = changed || listed != list.units.size() || more != list.more;
+  list.units.resize(listed);
+  list.more = more;
+  return changed;
 }
 
 bool SpoutUnits::cut_off() const {

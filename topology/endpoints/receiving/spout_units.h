@@ -38,7 +38,8 @@ class SpoutUnits {
   /// this: the order to stop an instance is answered without it, and close() ends it when the worker is stopped. A unit
   /// is given up after `longest_end` in any case. What is given up stays at the broker for the instance's next life. A
   /// unit that was about to come here from another worker is read to its end, too, once this worker leads it; so is one
-  /// that this worker gave to another one, because that one may not have run for it when its channel went.
+  /// that this worker gave to another one, because that one may not have run for it when its channel went. A unit whose
+  /// leadership is lost meanwhile is read by whoever leads it then, and here again if that is this worker.
   static constexpr std::chrono::milliseconds end_silence{1000}, stuck_limit{30'000};
   static constexpr std::chrono::minutes longest_end{60};
 
@@ -105,6 +106,8 @@ class SpoutUnits {
   /// Opens all readers again, those of units that are being read to their end, too: the broker then delivers only to
   /// the reader that it accepts now, and again what was not settled.
   void read_anew();
+  /// Tries again to open what could not be opened. A unit that ends has not been read to its end before that.
+  void open_missing();
   /// Continues moves and ends. \return the exclusive channels whose units ended
   std::vector<EndedTopic> look();
   /// Closes all readers, and resigns everywhere.
@@ -120,8 +123,12 @@ class SpoutUnits {
   bool has_changes() const { return changes_.taken + changes_.given_up > 0; }
   Changes take_changes() { return std::exchange(changes_, {}); }
   std::size_t size() const { return units_.size(); }
+  /// Brings a list of the units that tasks of this worker read up to date. \return whether it has changed
+  bool list_read_here(ReadUnits& list) const;
   std::size_t read_here() const;  ///< number of units that a task of this worker reads
-  std::size_t readers() const { return reader_count_; }
+  std::size_t readers() const { return totals_.open; }
+  /// How many topics could not be opened; open_missing() tries again.
+  std::size_t missing() const { return totals_.missing; }
   /// Whether the broker does not deliver to a reader of this worker.
   bool cut_off() const;
   /// The instances with exclusive channels that are being read to their end.
@@ -144,7 +151,7 @@ class SpoutUnits {
     UnitReaders::Key topic;
   };
   struct Unit {
-    explicit Unit(std::size_t& reader_count) : readers(reader_count) {}
+    explicit Unit(UnitReaders::Totals& totals) : readers(totals) {}
 
     UnitKind kind = UnitKind::instance;
     std::optional<std::int32_t> partition;              ///< of the topics; nullopt: all of it
@@ -186,7 +193,7 @@ class SpoutUnits {
 
   const Options options_;
   std::vector<Sharer> sharers_;  ///< empty: not known yet
-  std::size_t reader_count_ = 0;
+  UnitReaders::Totals totals_;
   std::map<std::string, Unit> units_;
   std::map<std::string, Unit> ending_;  ///< of channels that are gone: read to their end
   std::set<std::string> moving_;        ///< names of units that move

@@ -12,18 +12,27 @@ void UnitReaders::keep_only(const Wanted& wanted) {
     }
     place->second->close();
     place = readers_.erase(place);
-    --total_;
+    --totals_.open;
   }
 }
 
 void UnitReaders::open_missing(const Wanted& wanted, const Open& open) {
+  std::size_t missing = 0;
   for (const auto& [key, channel] : wanted) {
     if (readers_.contains(key)) continue;
     if (auto reader = open(*channel, key)) {
       readers_[key] = std::move(reader);
-      ++total_;
+      ++totals_.open;
+    } else {
+      ++missing;
     }
   }
+  set_missing(missing);
+}
+
+void UnitReaders::set_missing(std::size_t count) {
+  totals_.missing = totals_.missing - missing_ + count;
+  missing_ = count;
 }
 
 void UnitReaders::drain() {
@@ -70,7 +79,8 @@ bool UnitReaders::cut_off() const {
 
 void UnitReaders::close() {
   for (const auto& [key, reader] : readers_) reader->close();
-  total_ -= readers_.size();
+  totals_.open -= readers_.size();
+  set_missing(0);
   readers_.clear();
 }
 

@@ -21,13 +21,21 @@ class UnitReaders {
   /// Opens a reader; returns null if it cannot be opened now.
   using Open = std::function<std::shared_ptr<TopicReader>(const discovery::ChannelRecord&, const Key&)>;
 
-  /// \param total number of readers of all units, which this object keeps up to date; must outlive this object.
-  explicit UnitReaders(std::size_t& total) : total_(total) {}
+  /// Of the readers of all units.
+  struct Totals {
+    std::size_t open = 0;
+    std::size_t missing = 0;  ///< those that could not be opened
+  };
+
+  /// \param totals this object keeps them up to date; must outlive this object.
+  explicit UnitReaders(Totals& totals) : totals_(totals) {}
 
   /// Closes the readers that are not in `wanted`.
   void keep_only(const Wanted& wanted);
   /// Opens the readers that are in `wanted` and missing.
   void open_missing(const Wanted& wanted, const Open& open);
+  /// Whether open_missing() could not open one.
+  bool lacks_one() const { return missing_ > 0; }
   /// Drains all readers (TopicReader::drain()).
   void drain();
   /// How many messages of the readers are not settled.
@@ -47,7 +55,10 @@ class UnitReaders {
   void close();
 
  private:
-  std::size_t& total_;
+  void set_missing(std::size_t count);
+
+  Totals& totals_;
+  std::size_t missing_ = 0;
   std::map<Key, std::shared_ptr<TopicReader>> readers_;
 };
 

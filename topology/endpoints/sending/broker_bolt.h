@@ -23,8 +23,6 @@ class BrokerBolt final : public Bolt {
   void cleanup() override;
 
  private:
-  brokers::Message message_of(const Tuple& tuple) const;
-
   const EndpointServicesPtr services_;
   const std::shared_ptr<RouteTable> routes_;
   const EndpointDefinition endpoint_;

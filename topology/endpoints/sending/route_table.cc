@@ -107,6 +107,7 @@ void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollec
     return;
   }
   const auto now = services_->clock->now();
+  note_tuple(message.driver_id, now);
   const bool waits = line != waiting_.end() || (!no_grace_ && end_of_wait(message.driver_id, now) > now);
   if (waits && (waiting_count_ < most_waiting || comes(message.driver_id))) {
     ++waiting_count_;
@@ -123,6 +124,20 @@ void RouteTable::send(brokers::Message message, const Tuple& tuple, OutputCollec
   const Reason reason = waits ? Reason::too_many_wait : why_nobody(message.driver_id);
   lock.unlock();
   drop(reason, message.driver_id, tuple, collector);
+}
+
+/// Notes that a tuple has come for an instance that has no route.
+void RouteTable::note_tuple(std::string_view instance, Instant now) {
+  Known* const known = inactive(instance);
+  if (!known) return;
+  if (!known->last_tuple || now - *known->last_tuple >= grace) known->first_tuple = now;
+  known->last_tuple = now;
+}
+
+/// What is known of the instance if it is inactive; otherwise null.
+RouteTable::Known* RouteTable::inactive(std::string_view instance) {
+  const auto known = known_.find(instance);
+  return known != known_.end() && known->second.state == discovery::DriverState::inactive ? &known->second : nullptr;
 }
 
 /// Whether the instance has a record that says that it is about to be active. A restart goes through `stopping` too,
@@ -148,7 +163,7 @@ RouteTable::Instant RouteTable::end_of_wait(std::string_view instance, Instant s
   // The instance is active, but the registry has not told its channel yet. Tuples that came while it was about to be
   // active have waited, so their grace counts from when it became active.
   if (known->second.state == DriverState::active) return std::max(since, known->second.since) + grace;
-  return known->second.since + grace;
+  return std::max(known->second.since, known->second.first_tuple) + grace;
 }
 
 /// Sends the tuples that waited for a driver whose channel is there now, in order and before new ones. Runs on the
@@ -192,6 +207,8 @@ void RouteTable::on_tick() {
         late.push_back({std::move(tuples.front()), reason});
         tuples.pop_front();
         --waiting_count_;
+        // Those that follow could not come before, if their spout may have no more under way.
+        if (Known* const known = inactive(line->first.str())) known->last_tuple = now;
       }
       for (const auto& waiting : tuples) waiting.collector->reset_timeout(waiting.tuple);
       line = tuples.empty() && !being_sent ? waiting_.erase(line) : std::next(line);

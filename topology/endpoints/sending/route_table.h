@@ -24,12 +24,14 @@ namespace iotcloud::topology {
 ///
 /// A tuple for a driver may be here before the registry has told of the driver's channels: tuples for an id that was
 /// never seen wait for `grace`, and so do those for an instance that has just become inactive or failed for good, or
-/// whose record has just gone (a registry that was emptied gets the records of running instances again). Tuples for an
-/// instance that is about to be active (deployed, starting, stopping for a restart, or failed while its gateway starts
-/// it again by itself) wait for it up to their deadline, or for `return_limit` if they have none. A tuple that nobody
-/// gets is counted under its reason (Reason), logged (one line every ten seconds at most, with the number of such
-/// tuples), and acked or failed as the endpoint's `unknownDriver` says. A tuple whose deadline passes is counted and
-/// acked.
+/// whose record has just gone (a registry that was emptied gets the records of running instances again). An inactive
+/// instance may have begun again: what it sends then may come sooner than the registry's word. So tuples for it wait
+/// for `grace` from the first one on, and those that follow this one after that do not, until none came for `grace`.
+/// Tuples for an instance that is about to be active (deployed, starting, stopping for a restart, or failed while its
+/// gateway starts it again by itself) wait for it up to their deadline, or for `return_limit` if they have none. A
+/// tuple that nobody gets is counted under its reason (Reason), logged (one line every ten seconds at most, with the
+/// number of such tuples), and acked or failed as the endpoint's `unknownDriver` says. A tuple whose deadline passes is
+/// counted and acked.
 class RouteTable {
  public:
   RouteTable(EndpointServicesPtr services, std::string component, EndpointDefinition endpoint);
@@ -86,12 +88,17 @@ class RouteTable {
     discovery::DriverState state;
     bool starts_again;
     Instant since;
+    // Of an inactive instance: tuples for it that came, or were given up, without a pause of `grace`.
+    Instant first_tuple = Instant::min();
+    std::optional<Instant> last_tuple{};
   };
 
   void on_channel(const discovery::ChannelRecord& channel);
   void on_channel_gone(const discovery::ChannelRecord& channel);
   void on_choice(const discovery::InstanceId& instance, std::optional<bool> chosen);
   void on_record(const discovery::InstanceId& instance, const discovery::DriverRecord* record);
+  void note_tuple(std::string_view instance, Instant now) IOTCLOUD_REQUIRES(mutex_);
+  Known* inactive(std::string_view instance) IOTCLOUD_REQUIRES(mutex_);
   bool comes(std::string_view instance) const IOTCLOUD_REQUIRES(mutex_);
   Instant end_of_wait(std::string_view instance, Instant since) const IOTCLOUD_REQUIRES(mutex_);
   bool fits(const discovery::ChannelRecord& channel);

@@ -28,34 +28,42 @@ void ReadyList::append(ReadyList& other) {
   other = ReadyList();
 }
 
-std::int64_t ReadyList::waiting_ns() const {
+std::int64_t ReadyList::worth_moving_ns() const {
   std::int64_t sum = 0;
-  for (const Runnable* task = first_; task != nullptr; task = task->next_ready_) sum += task->waiting_ns();
+  for (const Runnable* task = first_; task != nullptr; task = task->next_ready_) sum += task->worth_moving_ns();
   return sum;
 }
 
 void Lane::push(Runnable& task) {
   const config::MutexLock lock(mutex_);
-  ready_.push(task);
-  ready_count_.store(ready_.size(), std::memory_order_relaxed);
+  if (task.role_ == Runnable::Role::worker) {
+    ready_.push(task);
+  } else {
+    if (sources_.empty()) sources_since_ns_ = now_ns;
+    sources_.push(task);
+  }
+  ready_count_.store(ready_.size() + sources_.size(), std::memory_order_relaxed);
 }
 
 Runnable* Lane::pop() {
-  if (!has_ready()) return nullptr;
+  if (ready_count() == 0) return nullptr;
   const config::MutexLock lock(mutex_);
-  Runnable* task = ready_.pop();
-  ready_count_.store(ready_.size(), std::memory_order_relaxed);
+  const bool source = ready_.empty() || (!sources_.empty() && now_ns - sources_since_ns_ > longest_wait_ns);
+  Runnable* task = source ? sources_.pop() : ready_.pop();
+  if (source) sources_since_ns_ = now_ns;
+  ready_count_.store(ready_.size() + sources_.size(), std::memory_order_relaxed);
   return task;
 }
 
-std::int64_t Lane::waiting_ns() {
+std::int64_t Lane::worth_moving_ns() {
   const config::MutexLock lock(mutex_);
-  return ready_.waiting_ns();
+  return ready_.worth_moving_ns() + sources_.worth_moving_ns();
 }
 
 void Lane::take_all(ReadyList& into) {
   const config::MutexLock lock(mutex_);
   into.append(ready_);
+  into.append(sources_);
   ready_count_.store(0, std::memory_order_relaxed);
 }
 

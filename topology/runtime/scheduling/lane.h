@@ -20,8 +20,8 @@ class ReadyList {
   std::size_t size() const { return size_; }
   void push(Runnable& task);
   Runnable* pop();
-  void append(ReadyList& other);    ///< leaves `other` empty
-  std::int64_t waiting_ns() const;  ///< sum of the tasks' Runnable::waiting_ns()
+  void append(ReadyList& other);         ///< leaves `other` empty
+  std::int64_t worth_moving_ns() const;  ///< sum of the tasks' Runnable::worth_moving_ns()
 
  private:
   Runnable* first_ = nullptr;
@@ -50,14 +50,20 @@ class Lane {
     return static_cast<std::uint64_t>(now_ns - before);
   }
 
-  // The run list. Scheduler::offload_stuck_threads() empties it from another thread when this one stays in user code
-  // for long.
+  // The run list, first in, first out; but a source that is ready waits until the others have done their work, for
+  // `longest_wait_ns` at most. Otherwise it would fill their queues, and tuples would grow cold there.
+  // Scheduler::offload_stuck_threads() empties it from another thread when this one stays in user code for long.
   void push(Runnable& task);
   Runnable* pop();
   void take_all(ReadyList& into);
   std::size_t ready_count() const { return ready_count_.load(std::memory_order_relaxed); }
-  bool has_ready() const { return ready_count() > 0; }
-  std::int64_t waiting_ns();  ///< about how long the tasks on the run list will take
+  std::int64_t worth_moving_ns();  ///< sum of the tasks' Runnable::worth_moving_ns()
+  /// A task that runs before those of the run list; null: none. It was put here when the running slice was about to
+  /// end, so it does not wait, and no other thread needs to see it. Topologies have no cycles, so the run list has its
+  /// turn.
+  Runnable* next = nullptr;
+  /// Whether the running slice must end soon, because other tasks are ready on this lane.
+  bool has_ready() const { return next != nullptr || ready_count() > 0; }
   // For Scheduler::offload_stuck_threads() and report_hanging(), which run on the timers' thread.
   std::atomic<std::int64_t> slice_began_ns{0};    ///< real_ns() when the running slice began; 0: no slice runs
   std::atomic<Runnable*> running{nullptr};        ///< the task whose slice runs
@@ -70,7 +76,10 @@ class Lane {
   Scheduler& scheduler_;
   std::atomic<std::size_t> ready_count_{0};
   config::Mutex mutex_;
+  static constexpr std::int64_t longest_wait_ns = 1'000'000;
   ReadyList ready_ IOTCLOUD_GUARDED_BY(mutex_);
+  ReadyList sources_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::int64_t sources_since_ns_ IOTCLOUD_GUARDED_BY(mutex_) = 0;  ///< since when the first of them waits
 };
 
 // initial-exec: the compiler reads the variable without a function call. That is allowed because the runtime is linked

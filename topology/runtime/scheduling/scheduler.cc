@@ -8,9 +8,7 @@ namespace {
 /// After this long a pool thread may give its run list to one that sleeps. Waking a thread costs the waking one a
 /// system call, and the other one starts only some time later.
 constexpr std::int64_t share_after_ns = 300'000;
-/// A run list is given away when its work takes at least this long, or when it has more than many_tasks tasks. Less is
-/// not worth another thread: moving the tuples from one core's cache to another's costs more than quick calls do.
-constexpr std::int64_t worth_sharing_ns = 50'000;
+/// A run list with more tasks than this is given away, too.
 constexpr std::size_t many_tasks = 16;
 /// After this long a pool thread puts its run list behind the tasks that wait for the pool.
 constexpr std::int64_t turn_ns = 1'000'000;
@@ -94,13 +92,29 @@ void Scheduler::now_idle() noexcept {
   changed_.notify_all();
 }
 
+bool Scheduler::runs_on_this_thread(Lane* lane) const {
+  return lane != nullptr && &lane->scheduler() == this && lane->running.load(std::memory_order_relaxed) != nullptr;
+}
+
 void Scheduler::schedule(Runnable& task) noexcept {
-  if (!make_ready(task)) return;
+  if (make_ready(task)) run_taken(task, false);
+}
+
+bool Scheduler::take(Runnable& task) noexcept {
+  State idle = State::idle;
+  if (!task.state_.compare_exchange_strong(idle, State::queued, std::memory_order_acq_rel)) return false;
+  busy_.fetch_add(1);
+  return true;
+}
+
+void Scheduler::run_taken(Runnable& task, bool next) noexcept {
   Lane* lane = Lane::of_this_thread();
-  if (lane != nullptr && &lane->scheduler() == this && lane->running.load(std::memory_order_relaxed) != nullptr) {
-    lane->push(task);
-  } else {
+  if (!runs_on_this_thread(lane)) {
     hand_over(task);
+  } else if (next && lane->next == nullptr) {
+    lane->next = &task;
+  } else {
+    lane->push(task);
   }
 }
 
@@ -112,8 +126,7 @@ void Scheduler::run_now(Runnable& task) noexcept {
   }
   if (!make_ready(task)) return;
   Lane* lane = borrow_lane();
-  lane->push(task);
-  run(*lane, threads_ > 0 ? Kind::caller : Kind::only);
+  run(*lane, threads_ > 0 ? Kind::caller : Kind::only, task);
   return_lane(lane);
 }
 
@@ -150,8 +163,7 @@ void Scheduler::pool_thread(Lane& lane) {
       task = shared_.pop();
       shared_count_.store(shared_.size(), std::memory_order_relaxed);
     }
-    lane.push(*task);
-    run(lane, Kind::pool);
+    run(lane, Kind::pool, *task);
   }
 }
 
@@ -165,24 +177,26 @@ void Scheduler::run_until_idle() {
       shared_count_.store(shared_.size(), std::memory_order_relaxed);
     }
     if (task == nullptr) break;
-    lane->push(*task);
-    run(*lane, Kind::only);
+    run(*lane, Kind::only, *task);
   }
   return_lane(lane);
 }
 
-void Scheduler::run(Lane& lane, Kind kind) noexcept {
+Runnable* Scheduler::next_of(Lane& lane) noexcept {
+  if (Runnable* next = std::exchange(lane.next, nullptr)) return next;
+  return lane.pop();
+}
+
+void Scheduler::run(Lane& lane, Kind kind, Runnable& first) noexcept {
   const std::int64_t began = lane.now_ns = real_ns();
-  lane.slice_began_ns.store(began, std::memory_order_relaxed);
-  while (Runnable* task = lane.pop()) {
+  for (Runnable* task = &first; task != nullptr; task = next_of(lane)) {
+    lane.slice_began_ns.store(lane.now_ns, std::memory_order_relaxed);
     lane.running.store(task);
     // read after `running` is set: either this thread sees halted_, or wait_halted() sees `running`
     if (halted_.load()) break;
-    if (threads_ > 0 && lane.has_ready()) timers_.watch();
+    if (threads_ > 0 && lane.ready_count() > 0) timers_.watch();
     run_slice(lane, *task);
-    if (!lane.has_ready()) continue;
-    lane.slice_began_ns.store(lane.now_ns, std::memory_order_relaxed);
-    if (share(lane, kind, lane.now_ns - began)) break;
+    if (lane.ready_count() > 0 && share(lane, kind, lane.now_ns - began)) break;
   }
   lane.slice_began_ns.store(0, std::memory_order_relaxed);
   lane.running.store(nullptr);
@@ -218,20 +232,25 @@ void Scheduler::run_slice(Lane& lane, Runnable& task) noexcept {
 /// must stop working on it.
 bool Scheduler::share(Lane& lane, Kind kind, std::int64_t busy_ns) noexcept {
   if (kind == Kind::only) return false;
-  ReadyList tasks;
+  const auto take_all = [&] {
+    ReadyList tasks;
+    if (Runnable* next = std::exchange(lane.next, nullptr)) tasks.push(*next);
+    lane.take_all(tasks);
+    return tasks;
+  };
   if (kind == Kind::caller || (busy_ns >= turn_ns && shared_count_.load(std::memory_order_relaxed) > 0)) {
     if (kind == Kind::caller && busy_ns < caller_slice_ns_) return false;
-    lane.take_all(tasks);
+    ReadyList tasks = take_all();
     hand_over(tasks);
     return true;
   }
-  if (busy_ns < share_after_ns || lane.ready_count() < 2 || sleeping_.load(std::memory_order_relaxed) == 0) {
-    return false;
-  }
-  const bool worth_it = lane.ready_count() > many_tasks || lane.waiting_ns() >= worth_sharing_ns;
-  if (!worth_it) return false;
-  lane.take_all(tasks);
-  if (Runnable* mine = tasks.pop()) lane.push(*mine);
+  const std::size_t ready = lane.ready_count() + (lane.next != nullptr ? 1 : 0);
+  if (busy_ns < share_after_ns || ready < 2 || sleeping_.load(std::memory_order_relaxed) == 0) return false;
+  const std::int64_t worth_moving_ns =
+      lane.worth_moving_ns() + (lane.next != nullptr ? lane.next->worth_moving_ns() : 0);
+  if (ready <= many_tasks && worth_moving_ns < worth_sharing_ns) return false;
+  ReadyList tasks = take_all();
+  lane.next = tasks.pop();
   hand_over(tasks);
   return false;
 }
@@ -243,7 +262,7 @@ bool Scheduler::offload_stuck_threads() {
   {
     const config::MutexLock lock(mutex_);
     for (const auto& lane : lanes_) {
-      if (!lane->has_ready()) continue;
+      if (lane->ready_count() == 0) continue;
       const std::int64_t began = lane->slice_began_ns.load(std::memory_order_relaxed);
       if (began != 0 && now - began >= long_slice_ns_) {
         lane->take_all(freed);

@@ -44,6 +44,12 @@ class Scheduler {
   void schedule(Runnable& task) noexcept;
   /// As schedule(), but if the task is idle, the calling thread runs it and the tasks that it makes ready.
   void run_now(Runnable& task) noexcept;
+  /// Takes the task if it is idle: until run_taken(), no other thread can run it, and the caller alone may prepare its
+  /// slice. \return false when it was not idle. Any thread.
+  bool take(Runnable& task) noexcept;
+  /// Lets a task run that take() has taken. \param next in a slice that is about to end: before the tasks that are
+  /// ready on this thread.
+  void run_taken(Runnable& task, bool next) noexcept;
   /// Allows the task to run. A new task does not run before this call; it runs now if schedule() was called for it
   /// already, or if `ready`.
   void release(Runnable& task, bool ready);
@@ -54,6 +60,9 @@ class Scheduler {
   /// Waits until no task has work and `condition` holds. \return false when `deadline` passed first.
   bool wait_idle(std::chrono::steady_clock::time_point deadline, const std::function<bool()>& condition);
 
+  /// A run list is given away when its tasks' Runnable::worth_moving_ns() are this much, or when they are many. Waking
+  /// a thread costs about as much.
+  static constexpr std::int64_t worth_sharing_ns = 50'000;
   /// Moves the run lists of threads that have been in one task for `long_slice` to the pool.
   /// \return true when other run lists have tasks, so that it should be called again in a millisecond.
   bool offload_stuck_threads();
@@ -76,7 +85,10 @@ class Scheduler {
   using State = Runnable::State;
   /// Which thread runs a lane: one of the pool, one that called run_now(), or the only one, because there is no pool.
   enum class Kind { pool, caller, only };
-  void run(Lane& lane, Kind kind) noexcept;
+  /// \param first runs first; it is queued, and on no run list.
+  void run(Lane& lane, Kind kind, Runnable& first) noexcept;
+  Runnable* next_of(Lane& lane) noexcept;
+  bool runs_on_this_thread(Lane* lane) const;
   void run_slice(Lane& lane, Runnable& task) noexcept;
   /// \return true when the task was idle: the caller must put it on a run list.
   bool make_ready(Runnable& task) noexcept;

@@ -6,12 +6,13 @@
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
 #include <iotcloud/topology/runtime/tasks/bolt_task.h>
 #include <iotcloud/topology/runtime/tasks/emitting_lane.h>
+#include <iotcloud/topology/runtime/tasks/send.h>
 
 namespace iotcloud::topology::internal {
 
 BoltTask::BoltTask(const TaskEnvironment& environment, Executors& executors, TopologyContext context,
                    std::unique_ptr<Bolt> bolt, InputPolicies policies, const detail::StreamInfo* tick_stream)
-    : Task(environment, executors, std::move(context)),
+    : Task(environment, executors, Role::worker, std::move(context)),
       bolt_(std::move(bolt)),
       tick_stream_(tick_stream),
       policies_(std::move(policies)),
@@ -23,9 +24,11 @@ BoltTask::~BoltTask() {
 
 void BoltTask::prepare(const Config& config, EmittingLane& lane) {
   lane_ = &lane;
+  lane.begin();
   const OwnCall own(lane, *this);
   bolt_->prepare(config, context_, *this);
   prepared_ = true;
+  count_usual();
   lane.flush(*this);
 }
 
@@ -38,6 +41,8 @@ void BoltTask::fill(TaskSnapshot& snapshot) const {
   snapshot.superseded = mailbox_.superseded();
   snapshot.execute_latency = execute_latency_.summary();
   snapshot.process_latency = process_latency().summary();
+  snapshot.execute_spread = execute_latency_.spread();
+  snapshot.process_spread = process_latency().spread();
 }
 
 void BoltTask::collect(std::vector<config::Sample>& samples) const {
@@ -56,9 +61,100 @@ void BoltTask::discard() {
 
 // Running.
 
+namespace {
+
+/// A handle without a destructor: who executes the tuple lets go of it, because it knows the cell's class.
+union Lent {
+  explicit Lent(TupleCell& cell) : tuple(Tuple::adopt(&cell)) {}
+  ~Lent() {}  // NOLINT(modernize-use-equals-default): that one would be deleted
+  Lent(const Lent&) = delete;
+  Lent& operator=(const Lent&) = delete;
+  Tuple tuple;
+};
+
+}  // namespace
+
+/// Executes tuples until one of them fills a mailbox. \return how many. \tparam plain no deadlines, and no taps.
+template <bool plain>
+[[gnu::noinline]] std::size_t BoltTask::execute_some(std::span<TupleCell* const> cells) {
+  constexpr std::ptrdiff_t ahead = 4;
+  EmittingLane& lane = *lane_;
+  TupleCell* const* const begin = cells.data();
+  TupleCell* const* const end = begin + cells.size();
+  TupleCell* const* at = begin;
+  for (; at != end && !lane.wants_flush(); ++at) {
+    if (end - at > ahead) {
+      const auto* soon = reinterpret_cast<const char*>(at[ahead]);
+      __builtin_prefetch(soon, 1);
+      __builtin_prefetch(soon + 64, 1);
+    }
+    TupleCell* const cell = *at;
+    const Lent lent(*cell);
+    const Tuple& tuple = lent.tuple;
+    current_ = open_ = cell;
+    bool given_up = false;
+    std::int64_t watched_ns = 0;
+    if constexpr (!plain) {
+      given_up = !policies_.deadlines.empty() && late(*cell);
+      if (given_up) {
+        give_up_late(tuple);
+      } else if (taps_.any()) {
+        watched_ns = begin_watched(tuple);
+      }
+    }
+    if (!given_up) {
+      if (!guarded("execute()", [&] { bolt_->execute(tuple); }) && open_ != nullptr) settle(Answer::fail, tuple);
+      if (open_ != nullptr) leave_open(*cell);
+      if (watched_ns != 0) note_executed(*cell, watched_ns);
+    }
+    if (cell->let_go()) cell->recycle(lane.cells());
+  }
+  current_ = open_ = nullptr;
+  return static_cast<std::size_t>(at - begin);
+}
+
+/// The bolt keeps the tuple, and answers later.
+void BoltTask::leave_open(TupleCell& cell) {
+  ++left_in_chunk_;
+  detail::Delivery* delivery = cell.tracked() ? cell.open_delivery(this) : nullptr;
+  if (delivery == nullptr) return;
+  delivery->executed_ns = lane_->now_ns;
+  answers_later_.store(true, std::memory_order_relaxed);
+}
+
+/// \return how many tuples were taken from the mailbox.
+std::size_t BoltTask::execute_chunk() {
+  const bool plain = policies_.deadlines.empty() && !taps_.any();
+  std::size_t taken = 0;
+  while (taken < chunk_ && !lane_->wants_flush()) {
+    std::span<TupleCell* const> cells = mailbox_.next();
+    if (cells.empty()) break;
+    cells = cells.first(std::min(cells.size(), chunk_ - taken));
+    const std::size_t some = plain ? execute_some<true>(cells) : execute_some<false>(cells);
+    mailbox_.took(some);
+    taken += some;
+  }
+  return taken;
+}
+
+/// Shows a tuple that is about to be executed to the taps. \return the time at which its execution begins
+std::int64_t BoltTask::begin_watched(const Tuple& tuple) {
+  if (emitter_.is_sink()) taps_.offer(real_ns(), id(), [&] { return tuple; });
+  return topology_ns();
+}
+
+void BoltTask::note_executed(const TupleCell& cell, std::int64_t begin_ns) const {
+  const std::int64_t now = topology_ns();
+  for_each_trace(cell, [&](TupleTrace& trace) {
+    if (open_ == nullptr) trace.settled(context_, cell, now, true);  // of a tuple that failed, settle() has told it
+    trace.executed(context_, cell, begin_ns, now);
+  });
+}
+
 bool BoltTask::slice(Lane& given) {
   EmittingLane& lane = EmittingLane::of(given);
   lane_ = &lane;
+  lane.begin();
   const OwnCall own(lane, *this);
   const std::uint32_t signals = take_signals();
   if (has_answers_.load(std::memory_order_acquire)) take_answers();
@@ -69,13 +165,7 @@ bool BoltTask::slice(Lane& given) {
   const std::int64_t slice_began = lane.now_ns;
   bool more = false;
   while (depth() > 0 && !blocked()) {
-    std::size_t taken = 0;
-    while (taken < chunk_ && !lane.wants_flush()) {
-      TupleCell* cell = mailbox_.next();
-      if (cell == nullptr) break;
-      execute(Tuple::adopt(cell));
-      ++taken;
-    }
+    const std::size_t taken = execute_chunk();
     const auto took_ns = lane.time_since_last_look();
     if (taken > 0) note_chunk(taken, took_ns);
     lane.flush(*this);
@@ -84,6 +174,7 @@ bool BoltTask::slice(Lane& given) {
       break;
     }
   }
+  count_usual();
   lane.flush(*this);
   return more;
 }
@@ -91,33 +182,17 @@ bool BoltTask::slice(Lane& given) {
 void BoltTask::note_chunk(std::size_t taken, std::uint64_t took_ns) {
   const auto each = static_cast<std::int64_t>(took_ns / taken);
   const std::size_t executed = taken - std::exchange(late_in_chunk_, 0);
-  note_each(each);
+  const std::size_t answered = executed - std::exchange(left_in_chunk_, 0);
+  note(each_ns_, each);
+  note(each_handled_ns_, static_cast<std::int64_t>(took_ns / (taken + usual_emits_)));
+  count_usual();
   bump(counts_.executed, executed);
+  bump(counts_.acked, std::exchange(acked_in_chunk_, 0));
   bump(counts_.busy_ns, took_ns);
   if (executed > 0) execute_latency_.record_ns(each, executed);
-  const std::size_t settled = std::exchange(settled_in_chunk_, 0);
-  if (settled > 0 && answers_later_.load(std::memory_order_relaxed)) process_latency_.record_ns(each, settled);
+  if (answered > 0 && answers_later_.load(std::memory_order_relaxed)) process_latency_.record_ns(each, answered);
   chunk_ = next_chunk(chunk_, taken, took_ns);
   mailbox_.done(taken);
-}
-
-void BoltTask::execute(Tuple tuple) {
-  TupleCell* const cell = cell_of(tuple);
-  current_ = cell;
-  current_settled_ = false;
-  if (!policies_.deadlines.empty() && late(*cell)) {
-    give_up_late(tuple);
-  } else {
-    if (taps_.any() && emitter_.is_sink()) taps_.offer(real_ns(), id(), [&] { return tuple; });
-    if (!guarded("execute()", [&] { bolt_->execute(tuple); }) && !current_settled_) settle(Answer::fail, tuple);
-    if (current_settled_) {
-      ++settled_in_chunk_;
-    } else if (TrackedDelivery* delivery = cell->tracked() ? cell->open_delivery(this) : nullptr) {
-      delivery->executed_ns = lane_->now_ns;
-      answers_later_.store(true, std::memory_order_relaxed);
-    }
-  }
-  current_ = nullptr;
 }
 
 bool BoltTask::late(const TupleCell& cell) const {
@@ -140,7 +215,7 @@ void BoltTask::give_up_late(const Tuple& tuple) {
 }
 
 void BoltTask::tick() {
-  TupleCell* cell = TupleCell::make();
+  TupleCell* cell = lane_->cells().take();
   cell->stream = tick_stream_;
   cell->source_task = 0;
   cell->born_ns = 0;
@@ -152,6 +227,25 @@ void BoltTask::tick() {
 // The collector.
 
 void BoltTask::do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) {
+  // The usual case: nothing but the tuple that is executed is the anchor, no births, nobody watches.
+  const Emitter::Stream* usual = emitter_.usual(stream, values, task);
+  if (usual != nullptr && anchors.size() == 1 && OwnCall::is_of(*this) && !taps_.any()) {
+    TupleCell& anchor = *cell_of(anchors.front());
+    if (!anchor.tracked()) {
+      ++usual_emits_;
+      emitter_.send_usual(*usual, *lane_, std::move(values), nullptr);
+      return;
+    }
+    if (anchor.more == nullptr && anchor.first.is_open_for(this)) {
+      ++usual_emits_;
+      anchor.first.change ^= emitter_.send_usual(*usual, *lane_, std::move(values), anchor.tree);
+      return;
+    }
+  }
+  emit_any(stream, anchors, std::move(values), task);
+}
+
+void BoltTask::emit_any(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) {
   if (!OwnCall::is_of(*this)) {
     throw std::logic_error("component " + context_.component +
                            " emits outside of its own calls; only ack, fail, reset_timeout and report_error may come "
@@ -160,14 +254,14 @@ void BoltTask::do_emit(std::string_view stream, std::span<const Tuple> anchors, 
   if (task < no_task) throw std::invalid_argument("there is no task " + std::to_string(task));
   emitter_.choose(stream, values, task);
   bump(counts_.emitted);
-  if (taps_.any()) offer_emitted(values, birth_of_child(anchors));
+  const std::int64_t born = environment_.has_deadlines ? birth_of_child(anchors) : 0;
+  if (taps_.any()) offer_emitted(values, born);
   if (emitter_.chosen() == 0) return;
   bump(counts_.transferred, emitter_.chosen());
-  send(anchors, std::move(values));
+  send(anchors, std::move(values), born);
 }
 
 std::int64_t BoltTask::birth_of_child(std::span<const Tuple> anchors) const {
-  if (!environment_.has_deadlines) return 0;
   std::int64_t oldest = 0;
   for (const Tuple& anchor : anchors) {
     const std::int64_t born = anchor.data()->born_ns;
@@ -177,8 +271,7 @@ std::int64_t BoltTask::birth_of_child(std::span<const Tuple> anchors) const {
   return current_ != nullptr && current_->born_ns != 0 ? current_->born_ns : topology_ns();
 }
 
-void BoltTask::send(std::span<const Tuple> anchors, Values&& values) {
-  const std::int64_t born = birth_of_child(anchors);
+void BoltTask::send(std::span<const Tuple> anchors, Values&& values, std::int64_t born) {
   if (anchors.size() == 1) {
     TupleCell& anchor = *cell_of(anchors.front());
     if (!anchor.tracked()) {
@@ -186,8 +279,8 @@ void BoltTask::send(std::span<const Tuple> anchors, Values&& values) {
       return;
     }
     // The children's ids are kept in the anchor's delivery, so that its ack changes the tree once for all of them.
-    TrackedDelivery* delivery = anchor.open_delivery(this);
-    if (delivery != nullptr && (!anchor.more || anchor.more->trees.empty())) {
+    detail::Delivery* delivery = anchor.open_delivery(this);
+    if (delivery != nullptr && anchor.has_one_tree()) {
       delivery->change ^= emitter_.send(*lane_, std::move(values), {&anchor.tree, 1}, born);
       return;
     }
@@ -202,19 +295,28 @@ void BoltTask::send(std::span<const Tuple> anchors, Values&& values) {
   std::sort(roots_.begin(), roots_.end(), std::less<>());
   roots_.erase(std::unique(roots_.begin(), roots_.end()), roots_.end());
   const std::uint64_t ids = emitter_.send(*lane_, std::move(values), roots_, born);
-  // The anchors are not settled, so these trees are still open. Their ids are entered here in time, because no other
-  // task gets the new tuple before the lane is flushed.
-  for (Tree* tree : roots_) tree->open.fetch_xor(ids, std::memory_order_acq_rel);
+  // The trees stay open until their task knows the ids, because it hears of the anchors' settlement later.
+  for (Tree* tree : roots_) lane_->settle(*tree, ids, 0);
 }
 
 void BoltTask::ack(const Tuple& tuple) {
-  // The usual case: an untracked tuple, acked in its own execute().
-  if (OwnCall::is_of(*this) && tuple.data() == current_ && current_ != nullptr && !current_->tracked()) {
-    if (std::exchange(current_settled_, true)) return;
-    bump(counts_.acked);
-    return;
+  // The usual case: acked in its own execute(), and no other task has received it.
+  if (OwnCall::is_of(*this) && open_ != nullptr && tuple.data() == open_) [[likely]] {
+    TupleCell& cell = *open_;
+    if (!cell.tracked()) {
+      open_ = nullptr;
+      ++acked_in_chunk_;
+      return;
+    }
+    if (cell.more == nullptr && cell.first.is_open_for(this) && lane_->settles_at_once(*cell.tree)) [[likely]] {
+      open_ = nullptr;
+      ++acked_in_chunk_;
+      cell.first.executed_ns = detail::Delivery::settled;
+      lane_->settle(*cell.tree, cell.first.change, 0);
+      return;
+    }
   }
-  answer(Answer::ack, tuple);
+  answer(Answer::ack, tuple);  // at the end, as no other function is called: so the usual case needs few registers
 }
 
 void BoltTask::answer(Answer answer, const Tuple& tuple) {
@@ -236,7 +338,7 @@ bool BoltTask::is_void(const Tuple& tuple) const {
   // A delivery that is not settled keeps its trees.
   if (!cell.tracked() || cell.open_delivery(this) == nullptr) return false;
   bool any = false;
-  cell.for_each_tree([&](const Tree* tree) { any = any || (tree->origin && tree->origin->comes_again()); });
+  cell.for_each_tree([&](const Tree* tree) { any = any || (tree->has_origin && tree->origin->comes_again()); });
   return any;
 }
 
@@ -253,22 +355,26 @@ void BoltTask::take_answers() {
 void BoltTask::settle(Answer answer, const Tuple& tuple) {
   if (!tuple || tuple.data()->stream == tick_stream_) return;
   TupleCell& cell = *cell_of(tuple);
-  TrackedDelivery* delivery = cell.tracked() ? cell.open_delivery(this) : nullptr;
+  detail::Delivery* delivery = cell.tracked() ? cell.open_delivery(this) : nullptr;
   if (answer == Answer::reset) {
     if (delivery == nullptr) return;
     const std::int64_t now = topology_ns();
     cell.for_each_tree([&](Tree* tree) { tree->touched_ns.store(now, std::memory_order_relaxed); });
     return;
   }
-  if (cell.tracked() ? delivery == nullptr : (&cell == current_ && current_settled_)) return;  // it was answered before
-  if (&cell == current_) current_settled_ = true;
+  if (cell.tracked() ? delivery == nullptr : (&cell == current_ && open_ == nullptr)) return;  // it was answered before
+  if (&cell == current_) open_ = nullptr;
   bump(answer == Answer::ack ? counts_.acked : counts_.failed);
   if (delivery == nullptr) return;
   if (delivery->executed_ns != 0) process_latency_.record_ns(real_ns() - delivery->executed_ns);
+  if (taps_.any() && (&cell != current_ || answer != Answer::ack)) {
+    const std::int64_t now = topology_ns();
+    for_each_trace(cell, [&](TupleTrace& trace) { trace.settled(context_, cell, now, answer == Answer::ack); });
+  }
   std::uint8_t flags = 0;
   if (answer == Answer::fail) flags = Tree::failed | Tree::blamed;
   if (answer == Answer::retry) flags = Tree::failed;
-  cell.settle(*delivery, flags);
+  lane_->settle(cell, *delivery, flags);
 }
 
 }  // namespace iotcloud::topology::internal

@@ -37,13 +37,15 @@ class BoltTask final : public Task, private OutputCollector {
 
   // Access to the mailbox, on any thread; see Mailbox.
   void deliver(std::span<TupleCell* const> cells) { mailbox_.put(cells); }
+  void hand(CellList& cells) { mailbox_.hand(cells); }
   bool block_until_room(Task& emitter) { return mailbox_.block_until_room(emitter); }
   std::size_t room() const { return mailbox_.room(); }
 
   bool slice(Lane& lane) override;
   bool is_spout() const override { return false; }
   std::size_t depth() const override { return mailbox_.depth(); }
-  std::int64_t waiting_ns() const override {
+  std::int64_t worth_moving_ns() const override {
+    if (each_handled_ns_.load(std::memory_order_relaxed) < heavy_ns) return 0;
     return static_cast<std::int64_t>(depth()) * each_ns_.load(std::memory_order_relaxed);
   }
   void close() override;
@@ -63,12 +65,18 @@ class BoltTask final : public Task, private OutputCollector {
   void reset_timeout(const Tuple& tuple) override { answer(Answer::reset, tuple); }
   void report_error(const std::string& text) override { Task::report_error(text); }
 
-  void send(std::span<const Tuple> anchors, Values&& values);
+  void emit_any(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task);
+  void send(std::span<const Tuple> anchors, Values&& values, std::int64_t born);
   void answer(Answer answer, const Tuple& tuple);
   void settle(Answer answer, const Tuple& tuple);
   void take_answers();
   void tick();
-  void execute(Tuple tuple);
+  std::int64_t begin_watched(const Tuple& tuple);
+  void note_executed(const TupleCell& cell, std::int64_t begin_ns) const;
+  template <bool plain>
+  std::size_t execute_some(std::span<TupleCell* const> cells);
+  std::size_t execute_chunk();
+  void leave_open(TupleCell& cell);
   bool late(const TupleCell& cell) const;
   void give_up_late(const Tuple& tuple);
   const config::Histogram& process_latency() const {
@@ -76,6 +84,18 @@ class BoltTask final : public Task, private OutputCollector {
   }
   void note_chunk(std::size_t taken, std::uint64_t took_ns);
   std::int64_t birth_of_child(std::span<const Tuple> anchors) const;
+
+  /// A task is heavy when it works for at least this long for each tuple that it executes or emits. Tuples of lighter
+  /// ones are not worth another core: their way to its cache takes longer than the work on them.
+  static constexpr std::int64_t heavy_ns = 400;
+  // Estimates of how long execute() takes, and of that time for each tuple that it takes or emits. A shorter
+  // measurement replaces an estimate; a longer one raises it by an eighth of the difference, because a measurement is
+  // too long when the thread had to wait for a core.
+  std::atomic<std::int64_t> each_ns_{0}, each_handled_ns_{0};
+  static void note(std::atomic<std::int64_t>& estimate, std::int64_t ns) {
+    const std::int64_t before = estimate.load(std::memory_order_relaxed);
+    estimate.store(ns <= before ? ns : before + (ns - before + 7) / 8, std::memory_order_relaxed);
+  }
 
   std::unique_ptr<Bolt> bolt_;
   const detail::StreamInfo* tick_stream_;
@@ -88,11 +108,12 @@ class BoltTask final : public Task, private OutputCollector {
 
   // Used only in a slice.
   EmittingLane* lane_ = nullptr;
-  const TupleCell* current_ = nullptr;  ///< the tuple in execute()
-  bool current_settled_ = false;        ///< the bolt has acked or failed it
-  std::size_t late_in_chunk_ = 0;       ///< tuples of this chunk that were late, so not executed
-  std::size_t settled_in_chunk_ = 0;    ///< tuples of this chunk that were answered before execute() returned
-  std::vector<Tree*> roots_;            ///< only used in send(); a member, to keep its memory
+  TupleCell* current_ = nullptr;    ///< the tuple in execute()
+  TupleCell* open_ = nullptr;       ///< the same, until the bolt acks or fails it
+  std::size_t acked_in_chunk_ = 0;  ///< acks of this chunk that are not counted yet
+  std::size_t late_in_chunk_ = 0;   ///< tuples of this chunk that were late, so not executed
+  std::size_t left_in_chunk_ = 0;   ///< tuples of this chunk that were not answered when execute() returned
+  std::vector<Tree*> roots_;        ///< only used in send(); a member, to keep its memory
 
   Mailbox mailbox_;
   std::atomic<bool> has_answers_{false};

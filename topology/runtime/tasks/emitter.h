@@ -15,6 +15,12 @@ class BoltTask;
 class EmittingLane;
 class Task;
 
+/// A task that gets tuples, with its id, which the emitting lane needs first.
+struct Receiver {
+  BoltTask* task = nullptr;
+  std::size_t id = 0;
+};
+
 /// An input of a bolt that reads a stream: the bolt's tasks, and the grouping that chooses among them.
 struct Edge {
   std::unique_ptr<Grouping> grouping;         ///< null: a direct stream, or a single task that gets every tuple
@@ -34,49 +40,69 @@ struct OutStream {
 class Emitter {
  public:
   /// \param tasks index: task id; must outlive the emitter. \param self the emitting task.
-  void set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self);
+  /// \param births tuples record their birth, so no emit is usual().
+  void set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self, bool births);
+
+  struct Stream {
+    OutStream out;
+    std::size_t arity = 0;  ///< number of fields
+    // If each tuple of the stream goes to one task. Thousands of tasks may have thousands of receivers each, so what
+    // lists these is shared.
+    Receiver only;                              ///< the receiver, if there is one
+    detail::ToOneGrouping* grouping = nullptr;  ///< chooses among several; null: there is one, or the stream is another
+    const int* targets = nullptr;               ///< if `grouping`: the ids of the tasks among which it chooses
+    BoltTask* const* tasks = nullptr;           ///< index: task id
+    bool to_one() const { return only.task != nullptr || grouping != nullptr; }
+    /// \pre to_one().
+    [[gnu::always_inline]] Receiver choose(const Values& values) const {
+      if (grouping == nullptr) return only;
+      const auto id = static_cast<std::size_t>(targets[grouping->place(values)]);
+      return {tasks[id], id};
+    }
+  };
+
+  /// An emit to the default stream, every tuple of which goes to one task, without births. It does in one step, in few
+  /// instructions, what choose() and send() do in two. \return null: the emit is another one. Otherwise the stream, for
+  /// send_usual().
+  [[gnu::always_inline]] const Stream* usual(std::string_view stream, const Values& values, int direct_task) const {
+    // The stream's name is the very constant: no characters are compared.
+    return stream.data() == default_stream && direct_task == -1 && values.size() == usual_arity_ ? usual_ : nullptr;
+  }
+  /// Makes the tuple and puts it on the lane; defined in send.h, as send() is. \param tree null: it is not tracked.
+  /// \return the id of its delivery (0 when not tracked).
+  std::uint64_t send_usual(const Stream& usual, EmittingLane& lane, Values&& values, Tree* tree);
 
   /// Checks the arguments and chooses the receivers. \throws std::invalid_argument when stream, task or values do not
   /// fit. \param direct_task the receiving task, for emit_direct; -1: the groupings choose.
-  void choose(std::string_view stream, const Values& values, int direct_task) {
-    // The usual case: the stream's name is the very constant (no characters are compared), and one task gets all
-    // tuples.
-    if (stream.data() == default_stream && to_one_ != nullptr && direct_task < 0 && values.size() == to_one_->arity) {
-      stream_ = to_one_;
-      chosen_count_ = 1;
-    } else {
-      choose_among(stream, values, direct_task);
-    }
-  }
-  std::size_t chosen() const { return chosen_count_; }  ///< number of receivers that choose() found
+  void choose(std::string_view stream, const Values& values, int direct_task);
+  std::size_t chosen() const { return chosen_.size(); }  ///< number of receivers that choose() found
   bool is_sink() const { return streams_.empty(); }
   /// Makes the tuple and puts it on the lane for the receivers that choose() found. \pre there is at least one.
   /// \param trees to which the tuple belongs; empty: it is not tracked.
   /// \return XOR of the ids of its deliveries (0 when not tracked).
   std::uint64_t send(EmittingLane& lane, Values&& values, std::span<Tree* const> trees, std::int64_t born_ns);
   /// Makes the tuple of the last choose(), untracked, with one handle.
-  TupleCell* make_cell(Values&& values, std::int64_t born_ns) const;
+  TupleCell* make_cell(TupleCell::Recycled& recycled, Values&& values, std::int64_t born_ns) const;
 
  private:
-  struct Stream {
-    OutStream out;
-    std::size_t arity = 0;     ///< number of fields
-    BoltTask* only = nullptr;  ///< the one task that gets every tuple of the stream; null: the receivers must be chosen
-  };
-  void choose_among(std::string_view stream, const Values& values, int direct_task);
+  TupleCell* make_cell(TupleCell::Recycled& recycled, const Stream& stream, Values&& values,
+                       std::int64_t born_ns) const;
+  Receiver receiver(int task) const;
   Stream& find(std::string_view name);
   void choose_by_groupings(Stream& stream, const Values& values);
   void choose_direct(const Stream& stream, int task);
-
   std::vector<Stream> streams_;
-  Stream* default_ = nullptr;       ///< the default stream
-  const Stream* to_one_ = nullptr;  ///< the default stream, if it has an `only`
+  Stream* default_ = nullptr;           ///< the default stream
+  const Stream* usual_ = nullptr;       ///< the default stream, if it is to_one() and no births are recorded
+  std::size_t usual_arity_ = no_usual;  ///< its number of fields
+  static constexpr std::size_t no_usual = ~std::size_t{0};
   const std::vector<BoltTask*>* tasks_ = nullptr;
+  int source_task_ = 0;  ///< id of the emitting task
   const Task* self_ = nullptr;
   // Results of the last choose():
   const Stream* stream_ = nullptr;
-  std::size_t chosen_count_ = 0;
-  std::vector<int> chosen_;  ///< not set when the stream has an `only`
+  std::vector<Receiver> chosen_;
+  std::vector<int> ids_;  ///< only used in choose(); a member, to keep its memory
 };
 
 }  // namespace iotcloud::topology::internal

@@ -1,15 +1,10 @@
 #include <algorithm>
 
+#include <iotcloud/topology/runtime/tasks/emitting_lane.h>
 #include <iotcloud/topology/runtime/tasks/mailbox.h>
 #include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
-
-namespace {
-
-constexpr std::size_t ahead = 4;
-
-}  // namespace
 
 Mailbox::Mailbox(const Task& owner, std::size_t capacity, std::vector<KeepLast> keep_last)
     : owner_(owner),
@@ -22,8 +17,18 @@ void Mailbox::put(std::span<TupleCell* const> cells) {
     return;
   }
   const config::MutexLock lock(mutex_);
-  waiting_.insert(waiting_.end(), cells.begin(), cells.end());
+  waiting_.append(cells);
   depth_.fetch_add(cells.size());
+}
+
+void Mailbox::hand(CellList& cells) {
+  if (conflater_ || depth_.load() > 0) {
+    put(cells);
+    return;
+  }
+  batch_.swap(cells);
+  next_ = 0;
+  depth_.fetch_add(batch_.size());
 }
 
 void Mailbox::put_conflated(std::span<TupleCell* const> cells) {
@@ -37,8 +42,8 @@ void Mailbox::put_conflated(std::span<TupleCell* const> cells) {
   }
   superseded_.fetch_add(replaced.size(), std::memory_order_relaxed);
   for (TupleCell* cell : replaced) {
-    if (TrackedDelivery* delivery = cell->tracked() ? cell->open_delivery(&owner_) : nullptr) {
-      cell->settle(*delivery, std::uint8_t{0});
+    if (detail::Delivery* delivery = cell->tracked() ? cell->open_delivery(&owner_) : nullptr) {
+      EmittingLane::settle_from_anywhere(*cell, *delivery, 0);
     }
     static_cast<void>(Tuple::adopt(cell));
   }
@@ -59,26 +64,16 @@ bool Mailbox::block_until_room(Task& emitter) {
   return true;
 }
 
-TupleCell* Mailbox::next() {
-  if (next_ < batch_.size()) {
-    if (next_ + ahead < batch_.size()) {
-      const auto* soon = reinterpret_cast<const char*>(batch_[next_ + ahead]);
-      __builtin_prefetch(soon, 1);
-      __builtin_prefetch(soon + 64, 1);
-    }
-    return batch_[next_++];
-  }
-  if (conflater_) {
-    const config::MutexLock lock(mutex_);
-    return static_cast<TupleCell*>(conflater_->take());
-  }
-  batch_.clear();
+bool Mailbox::next_batch() {
   next_ = 0;
-  {
-    const config::MutexLock lock(mutex_);
+  batch_.clear();
+  const config::MutexLock lock(mutex_);
+  if (!conflater_) {
     batch_.swap(waiting_);
+  } else if (auto* cell = static_cast<TupleCell*>(conflater_->take())) {
+    batch_.push(cell);
   }
-  return batch_.empty() ? nullptr : batch_[next_++];
+  return !batch_.empty();
 }
 
 void Mailbox::done(std::size_t executed) {
@@ -94,7 +89,10 @@ void Mailbox::done(std::size_t executed) {
 }
 
 void Mailbox::discard() {
-  while (TupleCell* cell = next()) static_cast<void>(Tuple::adopt(cell));
+  for (auto cells = next(); !cells.empty(); cells = next()) {
+    for (TupleCell* cell : cells) static_cast<void>(Tuple::adopt(cell));
+    took(cells.size());
+  }
 }
 
 }  // namespace iotcloud::topology::internal

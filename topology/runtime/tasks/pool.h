@@ -15,55 +15,84 @@ namespace iotcloud::topology::internal {
 /// that the sanitizer sees a use after recycling. Thread safe.
 template <typename T>
 class Pool {
- public:
-  /// \return an object as it was given back, or a new one. The caller owns it until give().
-  static T* take() {
-#if defined(IOTCLOUD_SANITIZED_ADDRESS)
-    return new T;
-#else
-    Cache& cache = local();
-    if (cache.count == 0) store().refill(cache);
-    if (cache.count == 0) return new T;
-    // An object that another thread gave back is still in that core's cache.
-    if (cache.count > ahead) __builtin_prefetch(cache.items[cache.count - 1 - ahead], 1);
-    return cache.items[--cache.count];
-#endif
-  }
+  static constexpr std::size_t handful = 256;
 
-  static void give(T* object) noexcept {
+ public:
+  /// The objects of one thread; only that thread uses it.
+  class Cache {
+   public:
+    Cache() { top_ = bottom(); }
+    ~Cache() { store().take(*this, static_cast<std::size_t>(top_ - bottom())); }
+    Cache(const Cache&) = delete;
+    Cache& operator=(const Cache&) = delete;
+
+    /// \return an object as it was given back, or a new one. The caller owns it until give().
+    [[gnu::always_inline]] T* take() {
 #if defined(IOTCLOUD_SANITIZED_ADDRESS)
-    delete object;
+      return new T;
 #else
-    Cache& cache = local();
-    if (cache.count == cache.items.size()) store().take_half(cache);
-    cache.items[cache.count++] = object;
+      if (top_ == bottom()) [[unlikely]] {
+        if (T* made = refill()) return made;
+      }
+      return *--top_;
 #endif
+    }
+
+    [[gnu::always_inline]] void give(T* object) noexcept {
+#if defined(IOTCLOUD_SANITIZED_ADDRESS)
+      delete object;
+#else
+      if (top_ == items_.data() + items_.size()) [[unlikely]]
+        drain();
+      *top_++ = object;
+#endif
+    }
+
+   private:
+    friend class Pool;
+    T** bottom() {
+      return items_.data();
+    }
+    // Not inlined, so that the functions that take and give need few registers.
+    /// \return a new object, or nullptr: there are some in the cache now.
+    [[gnu::noinline]] T* refill() {
+      store().give(*this);
+      return top_ == bottom() ? new T : nullptr;
+    }
+    [[gnu::noinline]] void drain() noexcept {
+      store().take(*this, handful);
+    }
+
+    T** top_;  ///< behind the object that was given back last
+    std::array<T*, 2 * handful> items_;
+  };
+
+  /// The cache of the calling thread.
+  [[gnu::always_inline]] static Cache& local() {
+    if (Cache* cache = cache_of_this_thread) [[likely]]
+      return *cache;
+    return make_local();
+  }
+  [[gnu::always_inline]] static T* take() {
+    return local().take();
+  }
+  [[gnu::always_inline]] static void give(T* object) noexcept {
+    local().give(object);
   }
 
  private:
-  static constexpr std::size_t handful = 64;
-  static constexpr std::size_t ahead = 4;
-  struct Cache {
-    std::array<T*, 2 * handful> items;
-    std::size_t count = 0;
-    ~Cache() { store().take_all(*this); }
-  };
   class Store {
    public:
-    void refill(Cache& cache) {
+    void give(Cache& cache) {
       const config::MutexLock lock(mutex_);
-      while (!items_.empty() && cache.count < handful) {
-        cache.items[cache.count++] = items_.back();
+      for (std::size_t i = 0; i < handful && !items_.empty(); ++i) {
+        *cache.top_++ = items_.back();
         items_.pop_back();
       }
     }
-    void take_half(Cache& cache) {
+    void take(Cache& cache, std::size_t count) {
       const config::MutexLock lock(mutex_);
-      for (std::size_t i = 0; i < handful; ++i) items_.push_back(cache.items[--cache.count]);
-    }
-    void take_all(Cache& cache) {
-      const config::MutexLock lock(mutex_);
-      while (cache.count > 0) items_.push_back(cache.items[--cache.count]);
+      for (std::size_t i = 0; i < count; ++i) items_.push_back(*--cache.top_);
     }
 
    private:
@@ -71,9 +100,7 @@ class Pool {
     std::vector<T*> items_ IOTCLOUD_GUARDED_BY(mutex_);
   };
 
-  static Cache& local() {
-    if (Cache* cache = cache_of_this_thread) [[likely]]
-      return *cache;
+  [[gnu::noinline]] static Cache& make_local() {
     // On the heap: a library that a running program loads (topology/storm) has little room for such a pointer's block.
     thread_local const std::unique_ptr<Cache> cache = std::make_unique<Cache>();
     return *(cache_of_this_thread = cache.get());

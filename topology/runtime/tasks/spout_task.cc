@@ -8,6 +8,7 @@
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
 #include <iotcloud/topology/runtime/scheduling/timers.h>
 #include <iotcloud/topology/runtime/tasks/emitting_lane.h>
+#include <iotcloud/topology/runtime/tasks/send.h>
 #include <iotcloud/topology/runtime/tasks/spout_task.h>
 
 namespace iotcloud::topology::internal {
@@ -33,16 +34,25 @@ void WakeGate::shut() noexcept {
 
 SpoutTask::SpoutTask(const TaskEnvironment& environment, Executors& executors, TopologyContext context,
                      std::unique_ptr<Spout> spout, std::shared_ptr<WakeGate> gate, std::size_t max_pending)
-    : Task(environment, executors, std::move(context)),
+    : Task(environment, executors, Role::source, std::move(context)),
       spout_(std::move(spout)),
       gate_(std::move(gate)),
       max_pending_(max_pending) {}
 
 SpoutTask::~SpoutTask() {
+  {
+    // Only settlements lead to the trees of whose end the spout was told.
+    const config::MutexLock lock(settlements_mutex_);
+    for (const Settlement& settlement : settlements_) {
+      Tree& tree = *settlement.tree;
+      tree.open ^= settlement.change;
+      if (tree.ended && tree.open == 0) tree.recycle();
+    }
+  }
   for (Tree* tree : wheel_) {
     while (tree != nullptr) {
       Tree* older = tree->older;
-      tree->let_go();
+      tree->recycle();
       tree = older;
     }
   }
@@ -50,11 +60,13 @@ SpoutTask::~SpoutTask() {
 
 void SpoutTask::open(const Config& config, EmittingLane& lane) {
   lane_ = &lane;
+  lane.begin();
   gate_->open(*this);
   now_ns_ = topology_ns();
   const OwnCall own(lane, *this);
   spout_->open(config, context_, *this);
   opened_ = true;
+  count_usual();
   lane.flush(*this);
 }
 
@@ -72,6 +84,7 @@ void SpoutTask::fill(TaskSnapshot& snapshot) const {
   if (oldest != 0)
     snapshot.oldest_seconds = static_cast<double>(std::max<std::int64_t>(0, topology_ns() - oldest)) / nanoseconds;
   snapshot.complete_latency = complete_latency_.summary();
+  snapshot.complete_spread = complete_latency_.spread();
 }
 
 void SpoutTask::collect(std::vector<config::Sample>& samples) const {
@@ -94,15 +107,17 @@ void SpoutTask::set_active(bool active) {
 bool SpoutTask::slice(Lane& given) {
   EmittingLane& lane = EmittingLane::of(given);
   lane_ = &lane;
+  lane.begin();
   const OwnCall own(lane, *this);
   now_ns_ = environment_.clock_is_real ? lane.now_ns : topology_ns();
   const std::uint32_t signals = take_signals();
   if ((signals & activity_due) != 0) switch_activity();
   if ((signals & poll_due) != 0) poll_armed_ = false;
   if ((signals & failures_due) != 0) tell_failures();
+  take_settlements();  // before the time-outs: what was acked in time is acked
   if (wheel_armed_) turn_wheel();
-  take_posted();
   const bool more = ask(lane);
+  count_usual();
   lane.flush(*this);
   note_oldest();
   return more;
@@ -119,14 +134,15 @@ void SpoutTask::switch_activity() {
   }
 }
 
-bool SpoutTask::may_ask() {
+/// Tells the spout when back pressure begins or ends.
+bool SpoutTask::decide_to_ask() {
   if (!active_) return false;
-  const bool full = blocked() || (max_pending_ > 0 && pending_.load(std::memory_order_relaxed) >= max_pending_);
-  if (full != throttled_) {
-    throttled_ = full;
-    guarded("throttled()", [&] { spout_->throttled(full); });
+  const bool now_full = full();
+  if (now_full != throttled_) {
+    throttled_ = now_full;
+    guarded("throttled()", [&] { spout_->throttled(now_full); });
   }
-  return !full;
+  return !now_full;
 }
 
 /// \return true when the spout is to be asked again soon.
@@ -136,7 +152,7 @@ bool SpoutTask::ask(EmittingLane& lane) {
     woken_.store(false, std::memory_order_relaxed);
     bool more = true;
     std::chrono::microseconds pause{0};
-    std::size_t calls = 0;
+    std::size_t calls = 0, executed = 0;
     for (; more && calls < chunk_ && !lane.wants_flush() && (calls == 0 || may_ask()); ++calls) {
       if (environment_.has_deadlines) asked_ns_ = topology_ns();
       if (!guarded("next_tuple()", [&] { more = spout_->next_tuple(); })) {
@@ -144,14 +160,15 @@ bool SpoutTask::ask(EmittingLane& lane) {
         pause = pause_after_throw;
       }
       asked_ns_ = 0;
-      if (more) bump(counts_.executed);
-      take_acked_at_once();
+      if (more) ++executed;
+      if (!acked_at_once_.empty()) take_acked_at_once();
     }
+    bump(counts_.executed, executed);
+    count_usual();
     lane.flush(*this);
     const std::uint64_t took_ns = lane.time_since_last_look();
     now_ns_ = environment_.clock_is_real ? lane.now_ns : topology_ns();
     bump(counts_.busy_ns, took_ns);
-    note_each(static_cast<std::int64_t>(took_ns / std::max<std::size_t>(calls, 1)));
     chunk_ = next_chunk(chunk_, calls, took_ns);
     if (!more && !woken_.load(std::memory_order_acquire)) {
       if (pause.count() == 0) pause = spout_->poll_period();  // asked after next_tuple(), which may change it
@@ -162,14 +179,61 @@ bool SpoutTask::ask(EmittingLane& lane) {
       return false;
     }
     if (lane.has_ready() || lane.now_ns - slice_began > slice_limit_ns) return true;
-    take_posted();
+    take_settlements();
   }
   return false;
 }
 
+// Trees in the wheel.
+
+inline void SpoutTask::link(Tree& tree, std::size_t slot) {
+  tree.slot = static_cast<std::uint8_t>(slot);
+  tree.newer = nullptr;
+  tree.older = wheel_[slot];
+  (tree.older != nullptr ? tree.older->newer : tails_[slot]) = &tree;
+  wheel_[slot] = &tree;
+}
+
+inline void SpoutTask::unlink(Tree& tree) {
+  (tree.newer != nullptr ? tree.newer->older : wheel_[tree.slot]) = tree.older;
+  (tree.older != nullptr ? tree.older->newer : tails_[tree.slot]) = tree.newer;
+}
+
+inline void SpoutTask::track(Tree& tree) {
+  bump(pending_);
+  if (!wheel_armed_) {
+    slot_ends_ns_ = tree.emitted_ns + slot_width_ns();
+    arm_wheel();
+  }
+  link(tree, slot_);
+}
+
 // The collector.
 
+/// \return null if nothing is tracked.
+[[gnu::always_inline]] inline Tree* SpoutTask::make_tree(MessageId id) {
+  if (!environment_.options->acking) return nullptr;
+  Tree* tree = Tree::make(lane_->trees(), *this, id, now_ns_);
+  if (origin_) tree->set_origin(std::move(origin_));
+  return tree;
+}
+
 void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) {
+  // The usual case: no births, nobody watches.
+  const Emitter::Stream* usual = emitter_.usual(stream, values, task);
+  if (usual == nullptr || !OwnCall::is_of(*this) || taps_.any()) return emit_any(stream, std::move(values), task, id);
+  ++usual_emits_;
+  Tree* const tree = id != nullptr ? make_tree(*id) : nullptr;
+  const std::uint64_t delivery = emitter_.send_usual(*usual, *lane_, std::move(values), tree);
+  if (tree != nullptr) {
+    tree->open = delivery;
+    track(*tree);
+  } else if (id != nullptr) {
+    acked_at_once_.push_back(*id);
+  }
+}
+
+void SpoutTask::emit_any(std::string_view stream, Values&& values, int task, const MessageId* id) {
   if (!OwnCall::is_of(*this)) {
     throw std::logic_error("component " + context_.component + " emits outside of its own calls");
   }
@@ -180,10 +244,8 @@ void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, cons
   const std::int64_t born = asked_ns_ == 0 && environment_.has_deadlines ? topology_ns() : asked_ns_;
   if (taps_.any()) offer_emitted(values, born);
   if (emitter_.chosen() > 0) {
-    if (id != nullptr && environment_.options->acking) {
-      Tree* tree = Tree::make(*this, *id, now_ns_);
-      tree->origin = std::move(origin_);
-      tree->open.store(emitter_.send(*lane_, std::move(values), {&tree, 1}, born), std::memory_order_relaxed);
+    if (Tree* tree = id != nullptr ? make_tree(*id) : nullptr) {
+      tree->open = emitter_.send(*lane_, std::move(values), {&tree, 1}, born);
       track(*tree);
       return;
     }
@@ -216,57 +278,92 @@ void SpoutTask::take_acked_at_once() {
 
 // Trees.
 
-void SpoutTask::post(Tree& tree) noexcept {
-  Tree* first = posted_.load(std::memory_order_relaxed);
-  do {
-    tree.next_posted = first;
-  } while (!posted_.compare_exchange_weak(first, &tree, std::memory_order_acq_rel, std::memory_order_relaxed));
+void SpoutTask::tell(FlatList<Settlement>& settlements) noexcept {
+  {
+    const config::MutexLock lock(settlements_mutex_);
+    if (settlements_.empty()) {
+      settlements_.swap(settlements);
+    } else {
+      settlements_.append({settlements.begin(), settlements.end()});
+    }
+    has_settlements_.store(true, std::memory_order_release);
+  }
+  settlements.clear();
   environment_.scheduler->schedule(*this);
 }
 
-void SpoutTask::take_posted() {
-  if (posted_.load(std::memory_order_relaxed) == nullptr) return;
-  Tree* newest = posted_.exchange(nullptr, std::memory_order_acq_rel);
-  Tree* oldest = nullptr;
-  while (newest != nullptr) {
-    Tree* next = newest->next_posted;
-    newest->next_posted = oldest;
-    oldest = newest;
-    newest = next;
+/// \return true when the whole tree is acked.
+inline bool SpoutTask::apply(const Settlement& settlement) {
+  Tree& tree = *settlement.tree;
+  tree.open ^= settlement.change;
+  tree.flags |= settlement.flag;
+  if (tree.open != 0 && (settlement.flag & Tree::failed) == 0) return false;
+  if (tree.ending) {
+    if (tree.ended && tree.open == 0) tree.recycle();
+    return false;
   }
-  while (oldest != nullptr) {
-    Tree& tree = *oldest;
-    oldest = tree.next_posted;
-    const std::uint8_t flags = tree.flags.load(std::memory_order_acquire);
-    if ((flags & Tree::failed) != 0) {
-      finish(tree, false, false);
-    } else if ((flags & Tree::lost) != 0) {
-      tree.abandoned = true;
-      abandoned_.fetch_add(1, std::memory_order_relaxed);
-    } else {
-      finish(tree, true, false);
-    }
+  tree.ending = true;
+  if (tree.flags == 0) return true;
+  if ((tree.flags & Tree::failed) != 0) {
+    failing_.push_back(&tree);
+  } else {
+    tree.abandoned = true;
+    bump(abandoned_);
   }
+  return false;
+}
+
+/// The caller counts it.
+[[gnu::always_inline]] inline void SpoutTask::finish_acked(Tree& tree) {
+  unlink(tree);
+  const MessageId id = tree.id;
+  tree.recycle(lane_->trees());
+  guarded("ack()", [&] { spout_->ack(id); });
+}
+
+void SpoutTask::take_settlements() {
+  if (!has_settlements_.load(std::memory_order_acquire)) return;
+  {
+    const config::MutexLock lock(settlements_mutex_);
+    settling_.swap(settlements_);
+    has_settlements_.store(false, std::memory_order_relaxed);
+  }
+  // Trees that were emitted in one chunk of calls took equally long, as the clock is read once for a chunk.
+  std::int64_t emitted_ns = 0;
+  std::uint64_t equal = 0;
+  const auto record = [&] {
+    if (equal == 0) return;
+    complete_latency_.record_ns(std::max<std::int64_t>(now_ns_ - emitted_ns, 0), equal);
+    bump(counts_.acked, equal);
+    bump(pending_, -std::exchange(equal, 0));
+  };
+  for (const Settlement& settlement : settling_) {
+    if (!apply(settlement)) continue;
+    if (settlement.tree->emitted_ns != emitted_ns) record();
+    emitted_ns = settlement.tree->emitted_ns;
+    ++equal;
+    finish_acked(*settlement.tree);
+  }
+  record();
+  settling_.clear();
+  // After the others, which may blame the messages of these.
+  for (Tree* tree : failing_) finish_failed(*tree, false);
+  failing_.clear();
   take_acked_at_once();
 }
 
-void SpoutTask::finish(Tree& tree, bool acked, bool timed_out) {
+/// Tells the spout that a tree failed, and forgets the tree when all deliveries are settled.
+void SpoutTask::finish_failed(Tree& tree, bool timed_out) {
   unlink(tree);
-  pending_.fetch_sub(1, std::memory_order_relaxed);
+  bump(pending_, -1);
+  bump(counts_.failed);
+  if (timed_out) bump(counts_.timed_out);
+  note_failure(timed_out, tree.abandoned);
   const MessageId id = tree.id;
-  const bool blamed = timed_out || (tree.flags.load(std::memory_order_acquire) & Tree::blamed) != 0;
-  if (acked) {
-    complete_latency_.record_ns(std::max<std::int64_t>(now_ns_ - tree.emitted_ns, 0));
-    bump(counts_.acked);
-  } else {
-    bump(counts_.failed);
-    if (timed_out) bump(counts_.timed_out);
-    note_failure(timed_out, tree.abandoned);
-  }
-  tree.let_go();
-  if (acked) {
-    guarded("ack()", [&] { spout_->ack(id); });
-  } else if (blamed) {
+  const bool blamed = timed_out || (tree.flags & Tree::blamed) != 0;
+  tree.ending = tree.ended = true;
+  if (tree.open == 0) tree.recycle();
+  if (blamed) {
     guarded("fail()", [&] { spout_->fail(id); });
   } else {
     guarded("retry()", [&] { spout_->retry(id); });
@@ -297,28 +394,6 @@ void SpoutTask::tell_failures() {
   add(failed.dropped, "dropped by a bolt without ack or fail");
   logger.warn("{}: component {}, task {}: {} tuples failed: {}", context_.topology, context_.component, context_.task,
               total, causes);
-}
-
-void SpoutTask::track(Tree& tree) {
-  pending_.fetch_add(1, std::memory_order_relaxed);
-  if (!wheel_armed_) {
-    slot_ends_ns_ = tree.emitted_ns + slot_width_ns();
-    arm_wheel();
-  }
-  link(tree, slot_);
-}
-
-void SpoutTask::link(Tree& tree, std::size_t slot) {
-  tree.slot = slot;
-  tree.newer = nullptr;
-  tree.older = wheel_[slot];
-  (tree.older != nullptr ? tree.older->newer : tails_[slot]) = &tree;
-  wheel_[slot] = &tree;
-}
-
-void SpoutTask::unlink(Tree& tree) {
-  (tree.newer != nullptr ? tree.newer->older : wheel_[tree.slot]) = tree.older;
-  (tree.older != nullptr ? tree.older->newer : tails_[tree.slot]) = tree.newer;
 }
 
 /// A tree that reset_timeout() has moved is found only when it is the oldest of its new slot.
@@ -373,12 +448,10 @@ void SpoutTask::expire(std::size_t slot, std::int64_t now) {
       // reset_timeout() was called: the tree moves to the slot that expires when its new time-out has passed.
       unlink(due);
       link(due, (slot + static_cast<std::size_t>((left + width - 1) / width)) % slots);
-    } else if (due.abandoned) {
-      abandoned_.fetch_sub(1, std::memory_order_relaxed);
-      finish(due, false, true);
-    } else if (!due.posted.exchange(true, std::memory_order_acq_rel)) {
-      finish(due, false, true);
-    }  // otherwise another thread posted its end just now, and take_posted() will finish it
+    } else {
+      if (due.abandoned) bump(abandoned_, -1);
+      finish_failed(due, true);
+    }
   }
 }
 

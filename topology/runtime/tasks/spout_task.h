@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/tasks/task.h>
 #include <iotcloud/topology/spout.h>
 
@@ -40,8 +41,10 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   /// Has next_tuple() called; an idle task runs on the calling thread. Any thread.
   void wake() noexcept;
   void set_active(bool active);
-  /// Tells the task that one of its trees is done, failed or lost; the next slice looks at it. Any thread.
-  void post(Tree& tree) noexcept;
+  /// Tells the task what was settled in its trees; the next slice looks at it. Any thread. \param settlements left
+  /// empty.
+  void tell(FlatList<Settlement>& settlements) noexcept;
+  bool runs_on(const Scheduler& scheduler) const { return environment_.scheduler == &scheduler; }
   /// Number of trees that an ack or a fail may still end. Abandoned trees do not count: only the time-out ends them.
   std::size_t under_way() const {
     const std::size_t abandoned = abandoned_.load(std::memory_order_relaxed);
@@ -51,7 +54,8 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   bool slice(Lane& lane) override;
   bool is_spout() const override { return true; }
   std::size_t depth() const override { return 0; }
-  std::int64_t waiting_ns() const override { return each_ns_.load(std::memory_order_relaxed); }
+  /// What a spout brings is work of its own: a second spout that is ready is worth another core.
+  std::int64_t worth_moving_ns() const override { return Scheduler::worth_sharing_ns / 2; }
   void close() override;
   void fill(TaskSnapshot& snapshot) const override;
   void collect(std::vector<config::Sample>& samples) const override;
@@ -65,12 +69,23 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
                     MessageId id) override;
   void report_error(const std::string& text) override { Task::report_error(text); }
 
+  void emit_any(std::string_view stream, Values&& values, int task, const MessageId* id);
+  Tree* make_tree(MessageId id);
   void switch_activity();
-  bool may_ask();
+  bool may_ask() {
+    if (active_ && !throttled_ && !full()) return true;
+    return decide_to_ask();
+  }
+  bool full() const {
+    return blocked() || (max_pending_ > 0 && pending_.load(std::memory_order_relaxed) >= max_pending_);
+  }
+  bool decide_to_ask();
   bool ask(EmittingLane& lane);
-  void take_posted();
+  void take_settlements();
+  bool apply(const Settlement& settlement);
   void take_acked_at_once();
-  void finish(Tree& tree, bool acked, bool timed_out);
+  void finish_acked(Tree& tree);
+  void finish_failed(Tree& tree, bool timed_out);
   void note_failure(bool timed_out, bool dropped);
   void tell_failures();
   void track(Tree& tree);
@@ -90,7 +105,9 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
 
   std::atomic<bool> woken_{false};  ///< wake() was called since next_tuple() was called last
   std::atomic<bool> wanted_active_{true};
-  std::atomic<Tree*> posted_{nullptr};      ///< a stack of trees that post() was called for
+  std::atomic<bool> has_settlements_{false};
+  config::Mutex settlements_mutex_;
+  FlatList<Settlement> settlements_ IOTCLOUD_GUARDED_BY(settlements_mutex_);
   std::atomic<std::size_t> pending_{0};     ///< number of trees in the wheel
   std::atomic<std::size_t> abandoned_{0};   ///< number of trees whose Tree::abandoned is set
   std::atomic<std::int64_t> oldest_ns_{0};  ///< emitted_ns of the oldest tree, after the last slice; 0: there is none
@@ -105,6 +122,8 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   /// call runs, or tuples do not record their birth.
   std::int64_t asked_ns_ = 0;
   std::shared_ptr<const TupleOrigin> origin_;  ///< of the tuple in do_emit_from()
+  FlatList<Settlement> settling_;              ///< only used in take_settlements(); a member, to keep its memory
+  std::vector<Tree*> failing_;                 ///< the same
   bool active_ = false;
   bool throttled_ = false;
   std::vector<MessageId> acked_at_once_;  ///< messages whose tuple has no receiver, or is not tracked (`acking` is off)

@@ -53,11 +53,17 @@ void Taps::add(std::shared_ptr<TapPoint> point) {
   any_.store(true, std::memory_order_relaxed);
 }
 
+void Taps::trace(bool on) {
+  const config::MutexLock lock(mutex_);
+  traces_ = on;
+  any_.store(traces_ || !points_.empty(), std::memory_order_relaxed);
+}
+
 std::vector<std::shared_ptr<TapPoint>> Taps::due(std::int64_t now_ns) {
   std::vector<std::shared_ptr<TapPoint>> wanting;
   const config::MutexLock lock(mutex_);
   std::erase_if(points_, [](const auto& point) { return point->watcher().ended(); });
-  any_.store(!points_.empty(), std::memory_order_relaxed);
+  any_.store(traces_ || !points_.empty(), std::memory_order_relaxed);
   for (const auto& point : points_) {
     if (point->claim_sample(now_ns)) wanting.push_back(point);
   }

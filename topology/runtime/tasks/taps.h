@@ -47,11 +47,13 @@ class TapPoint {
   std::atomic<std::int64_t> next_ns_{0};
 };
 
-/// The taps on one task. Without taps a tuple costs one read of an atomic.
+/// The taps on one task, and whether it tells traces of its tuples. Without both a tuple costs one read of an atomic.
 class Taps {
  public:
+  /// Whether there is a tap, or traces are told.
   bool any() const { return any_.load(std::memory_order_relaxed); }
   void add(std::shared_ptr<TapPoint> point);
+  void trace(bool on);
   /// Shows a tuple to the taps that are due. \param make makes the tuple; it is called only when a tap is due.
   template <typename Make>
   void offer(std::int64_t now_ns, int task, Make&& make) {
@@ -67,6 +69,7 @@ class Taps {
   std::atomic<bool> any_{false};
   config::Mutex mutex_;
   std::vector<std::shared_ptr<TapPoint>> points_ IOTCLOUD_GUARDED_BY(mutex_);
+  bool traces_ IOTCLOUD_GUARDED_BY(mutex_) = false;
 };
 
 }  // namespace iotcloud::topology::internal

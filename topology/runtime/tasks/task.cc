@@ -3,6 +3,7 @@
 #include <iotcloud/topology/runtime/logger.h>
 #include <iotcloud/topology/runtime/scheduling/scheduler.h>
 #include <iotcloud/topology/runtime/scheduling/slice_clock.h>
+#include <iotcloud/topology/runtime/tasks/send.h>
 #include <iotcloud/topology/runtime/tasks/task.h>
 
 namespace iotcloud::topology::internal {
@@ -11,8 +12,17 @@ namespace {
 constexpr std::int64_t log_pause_ns = 1'000'000'000;
 }  // namespace
 
-Task::Task(const TaskEnvironment& environment, Executors& executors, TopologyContext context)
-    : Runnable(executors), environment_(environment), context_(std::move(context)) {}
+namespace {
+
+TopologyContext with(TopologyContext context, Holdings& holdings) {
+  context.holdings = &holdings;
+  return context;
+}
+
+}  // namespace
+
+Task::Task(const TaskEnvironment& environment, Executors& executors, Role role, TopologyContext context)
+    : Runnable(executors, role), environment_(environment), context_(with(std::move(context), holdings_)) {}
 
 void Task::signal(std::uint32_t bits) {
   signals_.fetch_or(bits, std::memory_order_acq_rel);
@@ -47,6 +57,9 @@ TaskSnapshot Task::snapshot() const {
     const config::MutexLock lock(error_mutex_);
     snapshot.last_error = last_error_;
   }
+  snapshot.window_tuples = holdings_.window_tuples.load(std::memory_order_relaxed);
+  snapshot.state_entries = holdings_.state_entries.load(std::memory_order_relaxed);
+  snapshot.state_bytes = holdings_.state_bytes.load(std::memory_order_relaxed);
   fill(snapshot);
   return snapshot;
 }
@@ -79,7 +92,13 @@ void Task::report_error(const std::string& text) noexcept {
 }
 
 void Task::offer_emitted(const Values& values, std::int64_t born_ns) {
-  taps_.offer(real_ns(), id(), [&] { return Tuple::adopt(emitter_.make_cell(Values(values), born_ns)); });
+  taps_.offer(real_ns(), id(),
+              [&] { return Tuple::adopt(emitter_.make_cell(Pool<TupleCell>::local(), Values(values), born_ns)); });
+}
+
+void Task::note_emitted(const TupleCell& cell) const {
+  const std::int64_t now = topology_ns();
+  for_each_trace(cell, [&](TupleTrace& trace) { trace.emitted(context_, cell, now); });
 }
 
 void Task::measure_capacity(std::int64_t now_ns) {
@@ -133,6 +152,12 @@ void Task::collect(std::vector<config::Sample>& samples) const {
     add("iotcloud_spout_oldest_seconds", "Time since the oldest of these messages was emitted",
         config::Sample::Kind::gauge, now.oldest_seconds);
   }
+  const auto keeps = [&](const char* name, const char* help, std::int64_t value) {
+    if (value >= 0) add(name, help, config::Sample::Kind::gauge, static_cast<double>(value));
+  };
+  keeps("iotcloud_task_window_tuples", "Tuples that a windowed bolt keeps for later windows", now.window_tuples);
+  keeps("iotcloud_task_state_entries", "Keys of a stateful bolt's state in memory", now.state_entries);
+  keeps("iotcloud_task_state_bytes", "Bytes of these keys and their values", now.state_bytes);
   add("iotcloud_task_capacity", "Part of the last seconds in which the task was busy, 0 to 1",
       config::Sample::Kind::gauge, now.capacity);
 }

@@ -3,6 +3,8 @@
 #include <atomic>
 #include <cstdint>
 #include <string>
+#include <type_traits>
+#include <utility>
 #include <vector>
 
 #include <iotcloud/config/metrics.h>
@@ -37,7 +39,8 @@ struct TaskCounts {
 };
 
 /// Adds to a count that only one thread at a time writes: cheaper than an atomic addition.
-inline void bump(std::atomic<std::uint64_t>& count, std::uint64_t n = 1) {
+template <typename Count>
+[[gnu::always_inline]] inline void bump(std::atomic<Count>& count, std::type_identity_t<Count> n = 1) {
   count.store(count.load(std::memory_order_relaxed) + n, std::memory_order_relaxed);
 }
 
@@ -46,7 +49,7 @@ inline void bump(std::atomic<std::uint64_t>& count, std::uint64_t n = 1) {
 class Task : public Runnable {
  public:
   /// \param executors those of the task's component.
-  Task(const TaskEnvironment& environment, Executors& executors, TopologyContext context);
+  Task(const TaskEnvironment& environment, Executors& executors, Role role, TopologyContext context);
 
   virtual bool is_spout() const = 0;
   virtual std::size_t depth() const = 0;  ///< tuples in the mailbox
@@ -78,6 +81,9 @@ class Task : public Runnable {
   void unblock();  ///< schedules the task when it waits for no other mailbox
 
   Taps& taps() { return taps_; }
+  bool watched() const { return taps_.any(); }
+  /// Tells the traces of a tuple that this task emits it.
+  void note_emitted(const TupleCell& cell) const;
   Emitter& emitter() { return emitter_; }
 
  protected:
@@ -103,16 +109,18 @@ class Task : public Runnable {
                   const config::Histogram& histogram) const;
 
   const TaskEnvironment environment_;
+  Holdings holdings_;
   const TopologyContext context_;
   Emitter emitter_;
   Taps taps_;
   TaskCounts counts_;
-  /// Estimate of how long one call of user code takes. A shorter measurement replaces it; a longer one raises it by an
-  /// eighth of the difference, because a measurement is too long when the thread had to wait for a core.
-  std::atomic<std::int64_t> each_ns_{0};
-  void note_each(std::int64_t ns) {
-    const std::int64_t before = each_ns_.load(std::memory_order_relaxed);
-    each_ns_.store(ns <= before ? ns : before + (ns - before + 7) / 8, std::memory_order_relaxed);
+  /// Usual emits (Emitter::usual()) since count_usual() was called last. Used only in the task's own calls.
+  std::uint64_t usual_emits_ = 0;
+  /// Counts what was emitted since the last call.
+  void count_usual() {
+    if (usual_emits_ == 0) return;
+    bump(counts_.emitted, usual_emits_);
+    bump(counts_.transferred, std::exchange(usual_emits_, 0));
   }
   std::size_t chunk_ = 1;  ///< calls of user code between two readings of the clock; next_chunk() adapts it
 

@@ -1,61 +1,23 @@
-#include <iotcloud/topology/runtime/tasks/spout_task.h>
+#include <iotcloud/topology/runtime/tasks/emitting_lane.h>
 #include <iotcloud/topology/runtime/tasks/tracking.h>
 
 namespace iotcloud::topology::internal {
 
-Tree* Tree::make(SpoutTask& owner, MessageId id, std::int64_t now_ns) {
-  Tree* tree = Pool<Tree>::take();
-  tree->open.store(0, std::memory_order_relaxed);
-  tree->flags.store(0, std::memory_order_relaxed);
-  tree->posted.store(false, std::memory_order_relaxed);
-  tree->touched_ns.store(0, std::memory_order_relaxed);
-  tree->holders.store(2, std::memory_order_relaxed);
-  tree->owner = &owner;
-  tree->id = id;
-  tree->emitted_ns = now_ns;
-  tree->abandoned = false;
-  tree->newer = tree->older = tree->next_posted = nullptr;
-  return tree;
-}
-
-void Tree::close(std::uint64_t change, std::uint8_t flag) noexcept {
-  if (flag != 0) flags.fetch_or(flag, std::memory_order_acq_rel);
-  // Tells the spout of a failure at once, without waiting for the rest of the tree.
-  if ((flag & failed) != 0 && !posted.exchange(true, std::memory_order_acq_rel)) owner->post(*this);
-  if ((open.fetch_xor(change, std::memory_order_acq_rel) ^ change) != 0) return;
-  if (!posted.exchange(true, std::memory_order_acq_rel)) owner->post(*this);
-  let_go();
-}
-
-void Tree::let_go() noexcept {
-  if (holders.fetch_sub(1, std::memory_order_acq_rel) != 1) return;
-  origin.reset();
-  Pool<Tree>::give(this);
-}
-
-void TupleCell::recycle() noexcept {
-  if (tracked()) {
-    const auto give_up = [this](TrackedDelivery& delivery) {
-      if (delivery.receiver != nullptr && !delivery.settled) settle(delivery, Tree::lost);
-    };
-    give_up(first);
-    if (more) {
-      for (TrackedDelivery& delivery : more->deliveries) give_up(delivery);
-      more->trees.clear();
-      more->deliveries.clear();
+/// The last handle is gone: what nobody acked or failed is lost.
+void TupleCell::forget_deliveries() noexcept {
+  if (first.is_open()) EmittingLane::settle_from_anywhere(*this, first, Tree::lost);
+  if (more != nullptr) {
+    for (detail::Delivery& delivery : more->deliveries) {
+      if (delivery.is_open()) EmittingLane::settle_from_anywhere(*this, delivery, Tree::lost);
     }
-    tree = nullptr;
-    first.receiver = nullptr;
+    more->trees.clear();
+    more->deliveries.clear();
   }
-  values.clear();
-  Pool<TupleCell>::give(this);
 }
 
-TrackedDelivery* TupleCell::open_delivery(const Task* receiver) {
-  if (first.receiver == receiver && !first.settled) return &first;
-  if (!more) return nullptr;
-  for (TrackedDelivery& delivery : more->deliveries) {
-    if (delivery.receiver == receiver && !delivery.settled) return &delivery;
+detail::Delivery* TupleCell::find_more(const Task* receiver) {
+  for (detail::Delivery& delivery : more->deliveries) {
+    if (delivery.is_open_for(receiver)) return &delivery;
   }
   return nullptr;
 }

@@ -7,105 +7,153 @@
 #include <vector>
 
 #include <iotcloud/topology/output_collector.h>
+#include <iotcloud/topology/runtime/tasks/flat_list.h>
 #include <iotcloud/topology/runtime/tasks/pool.h>
 #include <iotcloud/topology/tuple.h>
 
 namespace iotcloud::topology::internal {
 
-class Task;
 class SpoutTask;
+class Task;
 
-/// The tree of tuples that grows from one tracked emit of a spout: Storm's XOR acker without an acker task. `open` is
-/// the XOR of the random ids of all deliveries that are not settled, so it is zero when all are settled (and, with a
-/// probability of 2^-64, by chance before). Settling a delivery changes `open` exactly once, by its own id and the ids
-/// of its children together. A tree has two holders, the owner and the open deliveries together; it is recycled when
-/// both have let go.
-struct Tree {
+/// The tree of tuples that grows from one tracked emit of a spout: Storm's XOR acker, which is the spout's task itself.
+/// `open` is the XOR of the random ids of all deliveries that are not settled, so it is zero when all are settled (and,
+/// with a probability of 2^-64, by chance before). Settling a delivery changes `open` exactly once, by its own id and
+/// the ids of its children together. Only the slices of its task change a tree: bolts send them Settlements. So no
+/// change needs an atomic operation. The tree is recycled when its task has told the spout of its end and all
+/// deliveries are settled.
+struct alignas(64) Tree {
   static constexpr std::uint8_t failed = 1;
   /// A bolt dropped a tuple without ack or fail: only the time-out ends the tree.
   static constexpr std::uint8_t lost = 2;
   /// With `failed`: something is wrong with the message, so that its spout counts the try.
   static constexpr std::uint8_t blamed = 4;
 
-  std::atomic<std::uint64_t> open{0};
-  std::atomic<std::uint8_t> flags{0};
-  std::atomic<bool> posted{false};  ///< SpoutTask::post() was called for the tree, or the time-out ended it
-  std::atomic<std::uint8_t> holders{0};
+  // Constant while deliveries are open, for any thread; and the one thing that any thread changes.
+  SpoutTask* owner = nullptr;
   std::atomic<std::int64_t> touched_ns{0};  ///< when reset_timeout() was called last, by the topology's clock; 0: never
+  bool has_origin = false;
 
   // For the owner; only its slices use these.
-  SpoutTask* owner = nullptr;
-  MessageId id = 0;
-  std::shared_ptr<const TupleOrigin> origin;  ///< may be null; holders of the tree may ask it
-  std::int64_t emitted_ns = 0;
+  bool ending = false;     ///< it is done or failed, and the spout is told or soon will be
+  bool ended = false;      ///< the spout was told
   bool abandoned = false;  ///< all deliveries are settled, at least one because a bolt dropped its tuple
-  Tree* newer = nullptr;   ///< neighbours in a slot of the owner's timing wheel
+  std::uint8_t flags = 0;
+  std::uint8_t slot = 0;  ///< of the owner's timing wheel
+  std::uint64_t open = 0;
+  MessageId id = 0;
+  std::int64_t emitted_ns = 0;
+  Tree* newer = nullptr;  ///< neighbours in a slot of the wheel
   Tree* older = nullptr;
-  std::size_t slot = 0;         ///< of the timing wheel
-  Tree* next_posted = nullptr;  ///< the next one in the owner's stack of posted trees
 
-  static Tree* make(SpoutTask& owner, MessageId id, std::int64_t now_ns);
-  /// Settles one delivery. \param change XOR of its id and its children's ids. \param flag 0 for an ack, or the
-  /// constants above.
-  void close(std::uint64_t change, std::uint8_t flag) noexcept;
-  void let_go() noexcept;
+  std::shared_ptr<const TupleOrigin> origin;  ///< set if `has_origin`; constant, as `owner` is
+
+  using Recycled = Pool<Tree>::Cache;
+
+  [[gnu::always_inline]] static Tree* make(Recycled& recycled, SpoutTask& owner, MessageId id, std::int64_t now_ns) {
+    Tree* tree = recycled.take();
+    tree->owner = &owner;
+    tree->touched_ns.store(0, std::memory_order_relaxed);
+    tree->has_origin = tree->ending = tree->ended = tree->abandoned = false;
+    tree->flags = 0;
+    tree->id = id;
+    tree->emitted_ns = now_ns;
+    return tree;
+  }
+  void set_origin(std::shared_ptr<const TupleOrigin> from) {
+    has_origin = from != nullptr;
+    origin = std::move(from);
+  }
+  /// \pre no delivery is open, and the tree is in no slot of the wheel.
+  void recycle() noexcept { recycle(Pool<Tree>::local()); }
+  [[gnu::always_inline]] void recycle(Recycled& recycled) noexcept {
+    if (has_origin) origin.reset();
+    recycled.give(this);
+  }
 };
 
-/// One task's delivery of a tracked tuple: what is needed to settle it.
-struct TrackedDelivery {
-  const Task* receiver = nullptr;
-  std::uint64_t change = 0;      ///< XOR of its own id and the ids of what was emitted with it as the only anchor
-  std::int64_t executed_ns = 0;  ///< real_ns() of the execute() that returned without ack or fail; 0: none did
-  bool settled = false;          ///< acked, failed or dropped
+/// What a bolt's task tells the owner of a tree.
+struct Settlement {
+  Settlement() noexcept {}  // NOLINT(cppcoreguidelines-pro-type-member-init): memory of a list, written when it is used
+  /// \param settles XOR of the id of the settled delivery (0: none) and the ids of new deliveries.
+  /// \param how 0 for an ack, or Tree's constants.
+  Settlement(Tree& of, std::uint64_t settles, std::uint8_t how) : tree(&of), change(settles), flag(how) {}
+  Tree* tree;
+  std::uint64_t change;
+  std::uint8_t flag;
 };
 
-/// A tuple as the runtime makes it: shared by all its receivers, recycled when the last handle is destroyed. The
-/// members that every tuple uses are in its first two cache lines.
+/// What only tuples with several trees or receivers use.
+struct MoreDeliveries {
+  std::vector<Tree*> trees;                  ///< all trees but the first
+  std::vector<detail::Delivery> deliveries;  ///< all deliveries but the first
+};
+
+/// A tuple as the runtime makes it: shared by all its receivers, recycled when the last handle is destroyed.
 struct alignas(64) TupleCell final : public detail::TupleData {
-  /// Members that only tuples with several trees or receivers use. Kept when the cell is recycled.
-  struct More {
-    std::vector<Tree*> trees;                 ///< all trees but the first
-    std::vector<TrackedDelivery> deliveries;  ///< all deliveries but `first`
-  };
-  TrackedDelivery first;  ///< delivery to the first receiver
-  std::unique_ptr<More> more;
+  ~TupleCell() override { delete more; }
 
-  static TupleCell* make() { return Pool<TupleCell>::take(); }
-  void recycle() noexcept override;
+  using Recycled = Pool<TupleCell>::Cache;
+
+  void recycle() noexcept override { recycle(Pool<TupleCell>::local()); }
+  [[gnu::always_inline]] void recycle(Recycled& recycled) noexcept {
+    if (tracked()) {
+      if (first.is_open() || more != nullptr) forget_deliveries();
+      first.receiver = nullptr;
+      tree = nullptr;
+    }
+    values.clear();
+    recycled.give(this);
+  }
 
   bool tracked() const { return tree != nullptr; }
   void track(std::span<Tree* const> trees) {
     tree = trees.front();
     if (trees.size() > 1) make_more().trees.assign(trees.begin() + 1, trees.end());
   }
-  void add_delivery(const Task* receiver, std::uint64_t id) {
+  /// \pre no delivery of the tuple is settled yet.
+  [[gnu::always_inline]] void add_delivery(const Task* receiver, std::uint64_t id) {
     // Member by member: a copy reads 16 bytes that were written in parts just before, for which the processor waits.
-    TrackedDelivery& delivery = first.receiver == nullptr ? first : make_more().deliveries.emplace_back();
+    detail::Delivery& delivery = first.receiver == nullptr ? first : next_delivery();
     delivery.receiver = receiver;
     delivery.change = id;
     delivery.executed_ns = 0;
-    delivery.settled = false;
   }
   /// \return the first delivery to this receiver that is not settled, or nullptr.
-  TrackedDelivery* open_delivery(const Task* receiver);
+  detail::Delivery* open_delivery(const Task* receiver) {
+    if (first.is_open_for(receiver)) return &first;
+    return more == nullptr ? nullptr : find_more(receiver);
+  }
+  bool has_one_tree() const { return more == nullptr || more->trees.empty(); }
   template <typename Call>
   void for_each_tree(Call&& call) const {
     call(tree);
-    if (!more) return;
+    if (more == nullptr) return;
     for (Tree* other : more->trees) call(other);
-  }
-  /// Settles a delivery in all trees of the tuple. \param flag as for Tree::close().
-  void settle(TrackedDelivery& delivery, std::uint8_t flag) noexcept {
-    delivery.settled = true;
-    for_each_tree([&](Tree* each) { each->close(delivery.change, flag); });
   }
 
  private:
-  More& make_more() {
-    if (!more) more = std::make_unique<More>();
+  MoreDeliveries& make_more() {
+    if (more == nullptr) more = new MoreDeliveries;
     return *more;
   }
+  [[gnu::noinline]] detail::Delivery& next_delivery() { return make_more().deliveries.emplace_back(); }
+  [[gnu::noinline]] detail::Delivery* find_more(const Task* receiver);
+  [[gnu::noinline]] void forget_deliveries() noexcept;
 };
+
+/// Calls `call` for each trace that follows a message of the tuple. \pre a delivery of the tuple is open, or was
+/// settled by the running slice.
+template <typename Call>
+void for_each_trace(const TupleCell& cell, Call&& call) {
+  if (!cell.tracked()) return;
+  cell.for_each_tree([&](const Tree* tree) {
+    if (!tree->has_origin) return;
+    if (TupleTrace* const trace = tree->origin->trace()) call(*trace);
+  });
+}
+
+using CellList = FlatList<TupleCell*>;
 
 inline TupleCell* cell_of(const Tuple& tuple) {
   return static_cast<TupleCell*>(tuple.data());

@@ -57,6 +57,7 @@ void read_option(RedisAddress& address, std::string_view name, std::string_view 
                                                                {"ca_file", &address.ca_file},
                                                                {"certificate_file", &address.certificate_file},
                                                                {"key_file", &address.key_file},
+                                                               {"revoked_file", &address.revoked_file},
                                                                {"prefix", &address.prefix}};
   for (const auto& [known, place] : options) {
     if (name != known) continue;
@@ -65,7 +66,7 @@ void read_option(RedisAddress& address, std::string_view name, std::string_view 
   }
   throw unusable(address.text, "it has no option \"" + std::string(name) +
                                    "\"; there are password_file, password_variable, ca_file, certificate_file, "
-                                   "key_file and prefix");
+                                   "key_file, revoked_file and prefix");
 }
 
 /// Refuses a prefix that could be mistaken for the beginning of another one's keys.
@@ -123,6 +124,9 @@ RedisAddress parse_redis_address(const std::string& url) {
   }
   if (!address.password_file.empty() && !address.password_variable.empty()) {
     throw unusable(url, "it names the password twice; keep password_file or password_variable");
+  }
+  if (!address.tls && !address.revoked_file.empty()) {
+    throw unusable(url, "without TLS no server shows a certificate, so revoked_file says nothing; write rediss://");
   }
   check_prefix(address);
   check_exposure(address);

@@ -23,7 +23,8 @@ struct RedisAddress {
   std::string ca_file;               ///< whom to trust; empty: the system's authorities
   std::string certificate_file;      ///< the client's own; empty: none
   std::string key_file;
-  std::string prefix;  ///< keeps this system's keys apart from those of another one; empty: none
+  std::string revoked_file;  ///< servers that are not to be trusted: lists of revocations; empty: none
+  std::string prefix;        ///< keeps this system's keys apart from those of another one; empty: none
 };
 
 /// Reads a URL, and refuses one whose servers others on the network could impersonate or listen to: beyond loopback it

@@ -13,6 +13,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <iotcloud/config/error.h>
 #include <iotcloud/topology/state/redis/redis_connection.h>
 
 namespace iotcloud::topology::internal {
@@ -50,10 +51,12 @@ RedisReply reply_of(const redisReply& given) {
 
 }  // namespace
 
-RedisConnection::RedisConnection(const RedisAddress& address, const RedisServer& server, milliseconds limit)
+RedisConnection::RedisConnection(const RedisAddress& address, const RedisServer& server, milliseconds limit,
+                                 brokers::ServerTrust& trust)
     : limit_(limit),
       server_(server),
       name_(server.host + ":" + std::to_string(server.port)),
+      trust_(trust),
       reader_(redisReaderCreate()) {
   end_ = steady_clock::now() + limit_;
   try {
@@ -109,6 +112,11 @@ void RedisConnection::begin_tls(const RedisAddress& address, const RedisServer& 
     throw StateError("the certificate \"" + address.certificate_file + "\" or its key \"" + address.key_file +
                      "\" cannot be used: " + tls_error());
   }
+  try {
+    shown_ = trust_.guard(context_.get());
+  } catch (const config::Error& error) {
+    throw StateError(error.what());
+  }
   tls_.reset(SSL_new(context_.get()));
   SSL_set_bio(tls_.get(), BIO_new(BIO_s_mem()), BIO_new(BIO_s_mem()));
   std::array<unsigned char, sizeof(in6_addr)> ignored{};
@@ -132,10 +140,16 @@ void RedisConnection::begin_tls(const RedisAddress& address, const RedisServer& 
       const long verdict = SSL_get_verify_result(tls_.get());
       if (verdict == X509_V_OK) fail("TLS: " + tls_error());
       throw StateError("the Redis at " + name_ + " is not believed to be the right one: " +
-                       X509_verify_cert_error_string(verdict) + "; ca_file names whom to trust");
+                       X509_verify_cert_error_string(verdict) + "; ca_file names whom to trust, revoked_file whom not");
     }
     receive_encrypted();
   }
+}
+
+void RedisConnection::check_server(brokers::ServerTrust::Instant now) {
+  if (!shown_) return;
+  const std::string why = trust_.distrust(*shown_, now);
+  if (!why.empty()) throw StateUnavailable("the Redis at " + name_ + " is left: " + why);
 }
 
 RedisReply RedisConnection::ask(const std::vector<std::string>& words) {

@@ -8,6 +8,7 @@
 #include <hiredis/read.h>
 #include <openssl/ssl.h>
 
+#include "iotcloud/brokers/server_trust.h"
 #include <iotcloud/topology/state/redis/redis_address.h>
 #include <iotcloud/topology/state/state_store.h>
 
@@ -31,15 +32,18 @@ class RedisRefusal : public StateError {
 /// an answer may still be under way.
 class RedisConnection {
  public:
-  /// Connects. \param limit for this, and for each later answer. \throws StateUnavailable; StateError if a file cannot
-  /// be used
-  RedisConnection(const RedisAddress& address, const RedisServer& server, std::chrono::milliseconds limit);
+  /// Connects. \param limit for this, and for each later answer. \param trust of the address's files; outlives this
+  /// object. \throws StateUnavailable; StateError if a file cannot be used
+  RedisConnection(const RedisAddress& address, const RedisServer& server, std::chrono::milliseconds limit,
+                  brokers::ServerTrust& trust);
   ~RedisConnection();
   RedisConnection(const RedisConnection&) = delete;
   RedisConnection& operator=(const RedisConnection&) = delete;
 
   /// Sends a command and waits for its answer. Words are any bytes. \throws StateUnavailable; RedisRefusal
   RedisReply ask(const std::vector<std::string>& words);
+  /// To be called before each command: says so if the server is not trusted any more. \throws StateUnavailable
+  void check_server(brokers::ServerTrust::Instant now);
   /// "HOST:PORT"
   const std::string& name() const { return name_; }
   const RedisServer& server() const { return server_; }
@@ -60,6 +64,7 @@ class RedisConnection {
   const std::chrono::milliseconds limit_;
   const RedisServer server_;
   const std::string name_;
+  brokers::ServerTrust& trust_;
   int socket_ = -1;
   Instant end_{};  ///< when the step that is under way must be done
   struct Free {
@@ -67,6 +72,7 @@ class RedisConnection {
     void operator()(SSL* engine) const { SSL_free(engine); }
     void operator()(redisReader* reader) const { redisReaderFree(reader); }
   };
+  std::shared_ptr<brokers::ShownChain> shown_;  ///< null: plain. Outlives context_
   std::unique_ptr<SSL_CTX, Free> context_;
   std::unique_ptr<SSL, Free> tls_;  ///< null: plain. Reads and writes memory; send_encrypted() and receive_encrypted()
   std::unique_ptr<redisReader, Free> reader_;

@@ -65,6 +65,7 @@ RedisReply RedisPool::ask(const std::vector<std::string>& words) {
   }
   std::string problem;
   try {
+    lent.connection->check_server(clock_.now());
     RedisReply reply = lent.connection->ask(words);
     give_back(std::move(lent));
     return reply;
@@ -161,7 +162,7 @@ std::unique_ptr<RedisConnection> RedisPool::open_master(const std::vector<RedisS
     std::unique_ptr<RedisConnection> connection;
     std::string id;
     try {
-      connection = std::make_unique<RedisConnection>(address_, server, answer_limit);
+      connection = std::make_unique<RedisConnection>(address_, server, answer_limit, trust_);
       id = greet(*connection);
     } catch (const StateUnavailable& error) {
       problems += (problems.empty() ? "" : "; ") + std::string(error.what());

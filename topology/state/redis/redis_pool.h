@@ -23,7 +23,7 @@ class RedisPool {
  public:
   /// \param clock outlives the pool
   explicit RedisPool(RedisAddress address, const config::Clock& clock = config::system_clock())
-      : address_(std::move(address)), clock_(clock) {}
+      : address_(std::move(address)), clock_(clock), trust_(address_.ca_file, address_.revoked_file) {}
 
   /// Looks for the master, unless there is a connection to it. \throws StateError if a server does not let this client
   /// in or may drop keys; StateUnavailable if there is no master now
@@ -57,6 +57,7 @@ class RedisPool {
 
   const RedisAddress address_;
   const config::Clock& clock_;
+  brokers::ServerTrust trust_;
   config::Mutex mutex_;  ///< no thread holds it while it waits for a server
   std::vector<std::unique_ptr<RedisConnection>> idle_ IOTCLOUD_GUARDED_BY(mutex_);
   /// How often all connections were given up; those that were lent before the last time are not taken back.

@@ -162,9 +162,18 @@ struct NimbusClient::Impl {
 
   /// Connects to the leader that one of the addresses names.
   void find_leader() {
+    std::string why;
+    if (find_leader_other_than("", why)) return;
+    throw NimbusError(fmt::format(
+        "no Nimbus answers and leads ({}); name one that runs, HOST:PORT, with --nimbus (6627 is the usual port)",
+        why));
+  }
+
+  /// As find_leader(). \param former the address of one that is named as the leader and does not count; empty: none
+  /// \param why gets why none was found \return false if none was within `patience`
+  bool find_leader_other_than(const std::string& former, std::string& why) {
     leader.reset();
     const auto end = std::chrono::steady_clock::now() + patience;
-    std::string why;
     while (true) {
       for (const std::string& address : addresses) {
         try {
@@ -172,20 +181,18 @@ struct NimbusClient::Impl {
           idl::NimbusSummary summary;
           asked->client.getLeader(summary);
           const std::string its = fmt::format("{}:{}", summary.host, summary.port);
+          if (its == former) continue;
           if (its != address) asked = std::make_unique<Connection>(its);
           leader = std::move(asked);
           version = summary.version;
-          return;
+          return true;
         } catch (const TException& error) {
           why = fmt::format("{}: {}", address, error.what());
         }
       }
-      if (std::chrono::steady_clock::now() >= end) break;
+      if (std::chrono::steady_clock::now() >= end) return false;
       std::this_thread::sleep_for(search_pause);
     }
-    throw NimbusError(fmt::format(
-        "no Nimbus answers and leads ({}); name one that runs, HOST:PORT, with --nimbus (6627 is the usual port)",
-        why));
   }
 
   /// Makes a call; once more to the leader of then, when the connection broke, or when the Nimbus that answered leads
@@ -205,11 +212,15 @@ struct NimbusClient::Impl {
       } catch (const idl::AlreadyAliveException& error) {
         throw NimbusError("a topology of this name runs already (" + error.msg + "); kill it first");
       } catch (const apache::thrift::TApplicationException& error) {
-        // So answers a Nimbus that leads no longer, without saying so, and one that failed.
+        // So answers a Nimbus that leads no longer, without saying so, and one that failed. Until another one leads,
+        // all still name the former leader.
         const std::string to = leader->to;
-        if (tries == 1) find_leader();
-        if (tries > 1 || leader->to == to)
-          throw NimbusError(fmt::format("Nimbus {} failed: {}; its log says more", to, error.what()));
+        std::string why;
+        if (tries > 1 || !find_leader_other_than(to, why)) {
+          const std::string others =
+              tries > 1 ? "" : fmt::format("no other one leads{}; ", why.empty() ? "" : " (" + why + ")");
+          throw NimbusError(fmt::format("Nimbus {} failed: {}; {}its log says more", to, error.what(), others));
+        }
       } catch (const TException& error) {
         const std::string to = leader ? leader->to : addresses.front();
         leader.reset();

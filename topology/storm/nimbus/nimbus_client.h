@@ -85,7 +85,8 @@ struct TopologyDetails {
 class NimbusClient {
  public:
   /// Connects to the leader. \param addresses HOST:PORT of some Nimbuses. \param patience for how long it looks for a
-  /// leader, now and after each failover. \throws NimbusError when none answers in time.
+  /// leader, now and after each failover, and so for another one when the leader fails. \throws NimbusError when none
+  /// answers in time.
   explicit NimbusClient(std::vector<std::string> addresses,
                         std::chrono::milliseconds patience = std::chrono::seconds(30));
   ~NimbusClient();

@@ -55,7 +55,7 @@ BoltHost::BoltHost(const TaskDescription& task, Component component, std::span<s
       late_(counter("iotcloud_task_late_total", "Tuples older than their deadline, not executed")),
       superseded_(
           counter("iotcloud_task_superseded_total", "Tuples that a newer one of their key replaced (keep_last)")),
-      execute_(histogram("iotcloud_task_execute_seconds", "One call of execute()")) {
+      execute_(clock_, histogram("iotcloud_task_execute_seconds", "One call of execute()")) {
   std::vector<internal::KeepLast> keep_last;
   streams_.reserve(task_.inputs.size());  // keep_last points to them
   for (const TaskDescription::Input& input : task_.inputs) {
@@ -147,9 +147,7 @@ void BoltHost::run(const Tuple& tuple, std::size_t input) {
     if (late(received, input)) {
       give_up_late(tuple);
     } else {
-      const auto began = clock_.now();
-      bolt_->execute(tuple);
-      execute_.record_ns(std::chrono::nanoseconds(clock_.now() - began).count());
+      execute_.time([&] { bolt_->execute(tuple); });
     }
   });
   if (!done) answer(Answer::fail, tuple);

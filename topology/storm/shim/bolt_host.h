@@ -12,6 +12,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/topology/bolt.h>
 #include <iotcloud/topology/storm/shim/answer_queue.h>
+#include <iotcloud/topology/storm/shim/call_timer.h>
 #include <iotcloud/topology/storm/shim/kept_tuples.h>
 #include <iotcloud/topology/storm/shim/task_host.h>
 
@@ -81,7 +82,7 @@ class BoltHost final : public TaskHost, private OutputCollector {
   AnswerQueue& queue_;
   config::Counter& late_;
   config::Counter& superseded_;
-  config::Histogram& execute_;
+  CallTimer execute_;
   std::vector<detail::StreamInfo> streams_;  ///< of the inputs
   std::vector<std::int64_t> deadlines_ns_;   ///< of the inputs; 0: none
   const detail::StreamInfo tick_stream_{system_component, tick_stream, {}};

@@ -320,10 +320,11 @@ JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_nextTuple(JNIEnv* env, jclass,
   return guarded(env, [&] { return static_cast<jint>(task_at(handle).spout->next_tuple()); });
 }
 
-JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_ack(JNIEnv* env, jclass, jlong handle, jlong id, jlong took) {
+JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_ack(JNIEnv* env, jclass, jlong handle, jlong id, jlong took,
+                                                      jlong times) {
   return guarded(env, [&] {
-    return static_cast<jint>(
-        task_at(handle).spout->ack(static_cast<std::uint64_t>(id), std::chrono::nanoseconds(took)));
+    return static_cast<jint>(task_at(handle).spout->ack(static_cast<std::uint64_t>(id), std::chrono::nanoseconds(took),
+                                                        static_cast<std::uint64_t>(times)));
   });
 }
 

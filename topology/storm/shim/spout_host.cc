@@ -49,8 +49,8 @@ std::size_t SpoutHost::deactivate() {
 std::size_t SpoutHost::next_tuple() {
   return run("next_tuple()", [this] { spout_->next_tuple(); });
 }
-std::size_t SpoutHost::ack(MessageId id, std::chrono::nanoseconds took) {
-  complete_.record_ns(took.count());
+std::size_t SpoutHost::ack(MessageId id, std::chrono::nanoseconds took, std::uint64_t times) {
+  if (times > 0) complete_.record_ns(took.count(), times);
   return run("ack()", [&] { spout_->ack(id); });
 }
 std::size_t SpoutHost::fail(MessageId id) {

@@ -19,7 +19,8 @@ class SpoutHost final : public TaskHost, private SpoutOutputCollector {
   std::size_t deactivate();
   std::size_t next_tuple();
   /// \param took since the message was emitted
-  std::size_t ack(MessageId id, std::chrono::nanoseconds took);
+  /// \param times of so many messages, of which Java measured this one; 0: it did not measure it
+  std::size_t ack(MessageId id, std::chrono::nanoseconds took, std::uint64_t times = 1);
   std::size_t fail(MessageId id);
 
  private:

@@ -16,6 +16,7 @@ import org.apache.kafka.clients.producer.KafkaProducer;
 import org.apache.kafka.clients.producer.ProducerRecord;
 import org.apache.kafka.common.serialization.ByteArrayDeserializer;
 import org.apache.kafka.common.serialization.ByteArraySerializer;
+import org.apache.kafka.common.utils.Utils;
 
 /** Records whose key is the instance and whose value is a TSensorMessage. */
 final class KafkaWire implements Wire {
@@ -48,7 +49,11 @@ final class KafkaWire implements Wire {
             try (var consumer = new KafkaConsumer<>(settings, new ByteArrayDeserializer(), new ByteArrayDeserializer())) {
                 consumer.subscribe(List.of(topic));
                 while (!ending) {
-                    for (var record : consumer.poll(Duration.ofMillis(100))) handler.accept(parse(record.key(), record.value()));
+                    for (var record : consumer.poll(Duration.ofMillis(100))) {
+                        // Java's own choice for this key.
+                        int partition = Utils.toPositive(Utils.murmur2(record.key())) % consumer.partitionsFor(topic).size();
+                        handler.accept(parse(record.key(), record.value(), record.partition() == partition));
+                    }
                 }
             }
         });
@@ -56,7 +61,8 @@ final class KafkaWire implements Wire {
         reader.start();
     }
 
-    private static Message parse(byte[] key, byte[] value) {
+    /** What is wrong with the record beside its headers is a header of the message, which nobody expects. */
+    private static Message parse(byte[] key, byte[] value, boolean inItsPartition) {
         try {
             var message = Records.parse(new TSensorMessage(), value);
             Map<String, String> headers = new HashMap<>();
@@ -64,6 +70,7 @@ final class KafkaWire implements Wire {
             headers.put(Message.SENSOR, message.getSensorId());
             headers.put(Message.SITE, message.getSite());
             if (!message.getSensorId().equals(new String(key, StandardCharsets.UTF_8))) headers.put("key", "wrong");
+            if (!inItsPartition) headers.put("partition", "wrong");
             return new Message(message.getBody(), headers);
         } catch (Exception error) {
             return Message.of("unreadable: " + error, Map.of());

@@ -136,6 +136,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
         Native.requestTick(task.handle);
       } else {
         keep(tuple);
+        runDue(ANSWERS);
       }
       return;
     }
@@ -191,6 +192,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
     } finally {
       lock.unlock();
     }
+    runDue(ANSWERS);
     // Without the lock: it waits while too many tuples wait, and the keeper needs the lock.
     int replaced = Native.keep(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays);
     if (replaced >= 0) {
@@ -214,6 +216,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
       } finally {
         lock.unlock();
       }
+      runDue(ANSWERS);
     }
   }
 
@@ -250,14 +253,14 @@ public class CppBolt extends CppComponent implements IRichBolt {
     giveToOthers();
   }
 
-  /** Lets another thread do what is due, unless one has the lock: that one does it when it is done with the tuple. */
+  /** Lets another thread do what is due, unless one has the lock: that one does it when it has given the lock back. */
   private void giveToOthers() {
     if (due.get() != 0 && !lock.isLocked()) {
       Timers.run(() -> runDue(TICK | ANSWERS));
     }
   }
 
-  /** Does what is due of these. Whoever gives the lock back calls it, so nothing is left by one that finds it taken. */
+  /** Does what is due of these. Whoever has given the lock back calls it, so nothing is left by one that found it taken. */
   private void runDue(int which) {
     while ((due.get() & which) != 0 && lock.tryLock()) {
       try {
@@ -278,7 +281,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
     }
   }
 
-  /** What other threads than the executor's send would wait in their batch. */
+  /** Sends what this thread emitted. Storm does so for the executor's thread alone: that of others waits in their batch. */
   private void flush() {
     if (flushes) {
       collector.flush();

@@ -69,14 +69,14 @@ public class CppSpout extends CppComponent implements IRichSpout {
   @Override
   public void ack(Object id) {
     Sent sent = (Sent) id;
-    long took = System.nanoTime() - sent.at;
+    long took = sent.times == 0 ? 0 : System.nanoTime() - sent.at;
     if (busy) {
-      late.add(() -> Native.ack(task.handle, sent.id, took));
+      late.add(() -> Native.ack(task.handle, sent.id, took, sent.times));
       return;
     }
     busy = true;
     try {
-      task.applyHere(Native.ack(task.handle, sent.id, took));
+      task.applyHere(Native.ack(task.handle, sent.id, took, sent.times));
     } finally {
       busy = false;
     }
@@ -129,13 +129,40 @@ public class CppSpout extends CppComponent implements IRichSpout {
     }
   }
 
-  /** The component's id of a message, as Storm keeps it. */
+  /**
+   * The component's id of a message, as Storm keeps it. `at`: when it was emitted, if it stands for `times` messages
+   * (more than 0) of which it is the measured one.
+   */
   private static final class Sent {
     final long id;
-    final long at = System.nanoTime();
+    final long at;
+    final long times;
 
-    Sent(long id) {
+    Sent(long id, long at, long times) {
       this.id = id;
+      this.at = at;
+      this.times = times;
+    }
+  }
+
+  /** Chooses the messages that are measured, as shim/call_timer.h chooses the calls. */
+  private static final class Sample {
+    private static final long MOST = 16;
+    private static final long CLOSELY_NS = 20_000;
+    private long last;
+    private long sent;
+    private long every = 1;
+
+    Sent next(long id) {
+      if (++sent < every) {
+        return new Sent(id, 0, 0);
+      }
+      long now = System.nanoTime();
+      long times = sent;
+      every = now - last < times * CLOSELY_NS ? MOST : 1;
+      last = now;
+      sent = 0;
+      return new Sent(id, now, times);
     }
   }
 
@@ -143,6 +170,7 @@ public class CppSpout extends CppComponent implements IRichSpout {
   private final class Emitter implements NativeTask.Collector {
     private final SpoutOutputCollector collector;
     private final Lock lock = new ReentrantLock();
+    private final Sample sample = new Sample();
 
     Emitter(SpoutOutputCollector collector) {
       this.collector = collector;
@@ -160,7 +188,7 @@ public class CppSpout extends CppComponent implements IRichSpout {
 
     @Override
     public void emit(String stream, int to, Long id, List<Object> values) {
-      Sent sent = id == null ? null : new Sent(id);
+      Sent sent = id == null ? null : sample.next(id);
       try {
         if (to < 0) {
           collector.emit(stream, values, sent);

@@ -108,7 +108,7 @@ final class Native {
   static native int nextTuple(long task);
 
   /** `took`: nanoseconds since the message was emitted. */
-  static native int ack(long task, long id, long took);
+  static native int ack(long task, long id, long took, long times);
 
   static native int fail(long task, long id);
 

@@ -1,0 +1,428 @@
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include <iotcloud/config/error.h>
+#include <iotcloud/discovery/description/json.h>
+#include <iotcloud/discovery/submissions.h>
+#include <iotcloud/master/console/live.h>
+#include <iotcloud/master/logger.h>
+
+namespace iotcloud::master {
+
+namespace {
+
+using Json = nlohmann::ordered_json;
+using std::chrono::milliseconds;
+
+constexpr std::size_t rows_at_once = 500, most_shown_faults = 100;
+constexpr std::size_t largest_page = std::size_t{8} << 20U;
+/// Of a task's counts, those that are told of some time ago, too.
+constexpr std::array remembered_counts{"emitted", "transferred", "executed", "acked", "failed", "timed_out", "errors"};
+/// Of Options::remember: how long ago.
+constexpr std::array former_spans{1, 18, 144};
+/// A look may take this part of the time at most.
+constexpr int rest_of_look = 20;
+
+std::shared_ptr<const std::string> event(const char* name, const std::string& data) {
+  return std::make_shared<const std::string>(std::string("event: ") + name + "\ndata: " + data + "\n\n");
+}
+
+Json row_of(const discovery::DriverRecord& driver) {
+  Json row{{"instance", driver.instance.str()},
+           {"gateway", driver.gateway.str()},
+           {"driver", driver.name.str()},
+           {"name", driver.deployment.empty() ? "" : driver.deployment + "/" + std::to_string(driver.index)},
+           {"state", to_string(driver.state)},
+           {"reason", driver.reason},
+           {"since_ms", driver.since_ms},
+           {"metadata", driver.metadata},
+           {"channels", driver.channels.size()}};
+  if (driver.starts_again) row["starts_again"] = true;
+  return row;
+}
+
+/// The value below which the part `q` of all is.
+double quantile(const std::map<double, std::uint64_t>& buckets, double q) {
+  std::uint64_t all = 0, seen = 0;
+  for (const auto& [end, count] : buckets) all += count;
+  const auto rank = static_cast<std::uint64_t>(std::ceil(q * static_cast<double>(all)));
+  for (const auto& [end, count] : buckets) {
+    seen += count;
+    if (seen >= rank) return end;
+  }
+  return 0;
+}
+
+std::uint64_t number_in(const Json& from, const char* key) {
+  const auto found = from.find(key);
+  return found != from.end() && found->is_number_unsigned() ? found->get<std::uint64_t>() : 0;
+}
+
+}  // namespace
+
+Live::Live(Source source, Options options, const config::Clock& clock)
+    : source_(std::move(source)),
+      options_(options),
+      clock_(clock),
+      looks_([this](const std::stop_token& stop) { look_on(stop); }),
+      pages_([this](const std::stop_token& stop) { read_pages_on(stop); }) {}
+
+Live::~Live() {
+  looks_.request_stop();
+  pages_.request_stop();
+  looks_.join();
+  pages_.join();
+}
+
+void Live::follow(std::shared_ptr<rpc::HttpStream> stream, Wanted wanted, std::function<bool()> may) {
+  const auto now = clock_.now();
+  const config::MutexLock lock(mutex_);
+  followers_.push_back({std::move(stream), std::move(wanted), std::move(may), true, true, now, now});
+  changed_.notify_all();
+}
+
+std::optional<discovery::DriverRecord> Live::find(const discovery::GatewayId& gateway,
+                                                  const discovery::InstanceId& instance) {
+  {
+    const config::MutexLock lock(mutex_);
+    if (const auto found = rows_.find({gateway, instance}); found != rows_.end()) return found->second.record;
+  }
+  for (auto& driver : source_.drivers()) {
+    if (driver.gateway == gateway && driver.instance == instance) return std::move(driver);
+  }
+  return std::nullopt;
+}
+
+std::size_t Live::followers() const {
+  const config::MutexLock lock(mutex_);
+  return followers_.size();
+}
+
+void Live::look_on(const std::stop_token& stop) {
+  config::Clock::Instant next{};
+  while (!stop.stop_requested()) {
+    {
+      const config::MutexLock lock(mutex_);
+      const auto is_fresh = [](const Follower& follower) { return follower.fresh; };
+      changed_.wait(mutex_, stop, [this]() IOTCLOUD_REQUIRES(mutex_) { return !followers_.empty(); });
+      if (stop.stop_requested()) return;
+      changed_.wait_for(
+          mutex_, stop, std::max(next - clock_.now(), config::Clock::Instant::duration::zero()),
+          [&]() IOTCLOUD_REQUIRES(mutex_) { return std::any_of(followers_.begin(), followers_.end(), is_fresh); });
+      if (stop.stop_requested()) return;
+    }
+    if (clock_.now() >= next) {
+      const auto begun = clock_.now();
+      look();
+      next = clock_.now() +
+             std::max<config::Clock::Instant::duration>(options_.look, rest_of_look * (clock_.now() - begun));
+    } else {
+      tell_all({});  // somebody is new, and what was found a moment ago will do
+    }
+  }
+}
+
+void Live::look() {
+  std::vector<Key> changed;
+  std::string problem;
+  try {
+    master_ = source_.status();
+    auto drivers = source_.drivers();
+    gateways_ = source_.gateways();
+    topologies_ = source_.topologies();
+    std::sort(drivers.begin(), drivers.end(), [](const auto& one, const auto& other) {
+      return std::tie(one.gateway, one.instance) < std::tie(other.gateway, other.instance);
+    });
+    const config::MutexLock lock(mutex_);
+    auto known = rows_.begin();
+    const auto forget_until = [&](const Key* end) IOTCLOUD_REQUIRES(mutex_) {
+      while (known != rows_.end() && (end == nullptr || known->first < *end)) {
+        changed.push_back(known->first);
+        known = rows_.erase(known);
+      }
+    };
+    for (auto& driver : drivers) {
+      const Key key{driver.gateway, driver.instance};
+      forget_until(&key);
+      if (known != rows_.end() && known->first == key) {
+        const auto row = known++;
+        if (row->second.record == driver) continue;
+        row->second = {driver, discovery::to_text(row_of(driver))};
+      } else {
+        rows_.emplace_hint(known, key, Row{driver, discovery::to_text(row_of(driver))});
+      }
+      changed.push_back(key);
+    }
+    forget_until(nullptr);
+    looked_ = true;
+  } catch (const config::Error& error) {
+    problem = error.what();
+  }
+  const auto state = state_of(problem);
+  {
+    const config::MutexLock lock(mutex_);
+    auto text = event("state", state);
+    if (!state_ || *state_ != *text) {
+      state_ = std::move(text);
+      for (auto& follower : followers_) {
+        if (!follower.fresh) send(follower, state_);
+      }
+    }
+  }
+  tell_all(changed);
+}
+
+std::string Live::state_of(const std::string& problem) const {
+  Json gateways = Json::array(), topologies = Json::array();
+  std::set<std::string> lost;
+  for (const auto& gateway : gateways_) {
+    gateways.push_back(discovery::to_json<Json>(gateway));
+    if (!gateway.alive) lost.insert(gateway.record.id);
+  }
+  for (const auto& topology : topologies_) topologies.push_back(discovery::to_json<Json>(topology));
+  std::map<std::string, std::size_t> counts;
+  Json faults = Json::array();
+  std::size_t number_of_faults = 0, all = 0;
+  const config::MutexLock lock(mutex_);
+  for (const auto& [key, row] : rows_) {
+    ++all;
+    const bool is_lost = lost.contains(key.first);
+    ++counts[is_lost ? "lost" : to_string(row.record.state)];
+    if (row.record.state != discovery::DriverState::failed && !is_lost) continue;
+    if (++number_of_faults > most_shown_faults) continue;
+    auto fault = row_of(row.record);
+    fault["lost"] = is_lost;
+    faults.push_back(std::move(fault));
+  }
+  return discovery::to_text(Json{{"problem", problem},
+                                 {"master", discovery::to_json<Json>(master_)},
+                                 {"gateways", std::move(gateways)},
+                                 {"topologies", std::move(topologies)},
+                                 {"instances", all},
+                                 {"counts", counts},
+                                 {"faults", std::move(faults)},
+                                 {"number_of_faults", number_of_faults}});
+}
+
+void Live::send(Follower& follower, Text text) {
+  if (!follower.stream) return;  // its reader has gone; tell_all() removes it
+  follower.told = clock_.now();
+  if (!follower.stream->send(std::move(text))) follower.stream.reset();
+}
+
+void Live::send_rows(Follower& follower, const std::vector<Key>& changed) {
+  const auto begin = [](bool reset) {
+    return std::string(R"({"reset":)") + (reset ? "true" : "false") + R"(,"set":[)";
+  };
+  if (follower.fresh) {
+    bool first = true;
+    auto next = rows_.begin();
+    do {
+      std::string text = begin(first);
+      first = false;
+      for (std::size_t number = 0; next != rows_.end() && number < rows_at_once; ++next) {
+        if (!follower.wanted.where.matches(next->second.record)) continue;
+        if (number++ > 0) text += ',';
+        text += next->second.json;
+      }
+      send(follower, event("rows", text + R"(],"gone":[]})"));
+    } while (next != rows_.end() && follower.stream);
+    return;
+  }
+  if (changed.empty()) return;
+  std::string text = begin(false);
+  Json gone = Json::array();
+  bool some = false;
+  for (const auto& key : changed) {
+    const auto row = rows_.find(key);
+    if (row == rows_.end() || !follower.wanted.where.matches(row->second.record)) {
+      gone.push_back({{"gateway", key.first}, {"instance", key.second}});
+      continue;
+    }
+    if (std::exchange(some, true)) text += ',';
+    text += row->second.json;
+  }
+  send(follower, event("rows", text + R"(],"gone":)" + discovery::to_text(gone) + "}"));
+}
+
+void Live::tell_all(const std::vector<Key>& changed) {
+  const auto now = clock_.now();
+  const config::MutexLock lock(mutex_);
+  for (auto& follower : followers_) {
+    if (follower.fresh && state_) send(follower, state_);
+    if (follower.stream && follower.wanted.rows && (looked_ || !follower.fresh)) send_rows(follower, changed);
+    follower.fresh = false;
+    if (!follower.stream) continue;
+    if (now - follower.told >= options_.beat) send(follower, std::make_shared<const std::string>(":\n\n"));
+    if (!follower.stream || now - follower.asked < options_.beat) continue;
+    follower.asked = now;
+    if (follower.may()) continue;
+    send(follower, event("over", "{}"));
+    follower.stream.reset();
+  }
+  followers_.remove_if([](const Follower& follower) { return !follower.stream; });
+}
+
+void Live::read_pages_on(const std::stop_token& stop) {
+  auto next_sample = clock_.now();
+  while (!stop.stop_requested()) {
+    bool seen = false;
+    {
+      const config::MutexLock lock(mutex_);
+      const auto sees_one = [](const Follower& follower) { return !follower.wanted.topology.empty(); };
+      const auto sees_fresh = [](const Follower& follower) { return follower.series_fresh; };
+      const auto anybody_new = [&]() IOTCLOUD_REQUIRES(mutex_) {
+        return std::any_of(followers_.begin(), followers_.end(), sees_fresh);
+      };
+      const auto pause = std::any_of(followers_.begin(), followers_.end(), sees_one)
+                             ? std::min<config::Clock::Instant::duration>(options_.pages, next_sample - clock_.now())
+                             : next_sample - clock_.now();
+      changed_.wait_for(mutex_, stop, std::max(pause, config::Clock::Instant::duration::zero()), anybody_new);
+      if (stop.stop_requested()) return;
+      for (auto& follower : followers_) {
+        if (!std::exchange(follower.series_fresh, false) || !follower.stream) continue;
+        Json points = Json::array();
+        for (const auto& point : points_)
+          points.push_back({point.time_ms, point.per_second, point.p99_us ? Json(*point.p99_us) : Json()});
+        send(follower, event("series", discovery::to_text(Json{{"reset", true}, {"points", std::move(points)}})));
+      }
+      seen = std::any_of(followers_.begin(), followers_.end(), sees_one);
+    }
+    const bool sample = clock_.now() >= next_sample;
+    if (sample) next_sample = clock_.now() + options_.sample;
+    if (sample || seen) read_pages(sample);
+  }
+}
+
+void Live::read_pages(bool sample) {
+  std::vector<discovery::TopologyStatus> topologies;
+  try {
+    topologies = source_.topologies();
+  } catch (const config::Error&) {
+    return;  // the registry is away; the look says so
+  }
+  std::map<std::string, Counted> now;
+  for (const auto& topology : topologies) {
+    bool wanted = false;
+    {
+      const config::MutexLock lock(mutex_);
+      wanted = std::any_of(followers_.begin(), followers_.end(),
+                           [&](const Follower& follower) { return follower.wanted.topology == topology.record.name; });
+    }
+    if (wanted || sample) now[topology.record.name] = show(topology, wanted);
+  }
+  if (!sample) return;
+  remember(now);
+  add_point(now);
+}
+
+Live::Counted Live::show(const discovery::TopologyStatus& topology, bool wanted) {
+  Counted counted;
+  Json pages = Json::array(), problems = Json::array();
+  for (const auto& worker : topology.workers) {
+    try {
+      auto page = discovery::parse_json_as<Json>(source_.worker_page(topology.record.name, worker.name), "its page",
+                                                 largest_page);
+      for (const auto& task : page.at("tasks")) {
+        const auto complete = task.find("complete");
+        if (complete == task.end() || !complete->contains("buckets") || number_in(*complete, "count") == 0) continue;
+        for (const auto& bucket : complete->at("buckets"))
+          counted.complete[bucket.at(0).get<double>()] += bucket.at(1).get<std::uint64_t>();
+      }
+      std::set<std::string> spouts;
+      for (const auto& component : page.at("components")) {
+        if (component.at("kind") == "spout") spouts.insert(component.at("id").get<std::string>());
+      }
+      for (const auto& task : page.at("tasks")) {
+        const auto component = task.at("component").get<std::string>();
+        if (spouts.contains(component)) counted.emitted += number_in(task, "emitted");
+        auto& counts = counted.components[component];
+        for (const char* const key : remembered_counts) counts[key] += number_in(task, key);
+      }
+      if (wanted) pages.push_back(std::move(page));
+    } catch (const config::Error& error) {
+      problems.push_back({{"worker", worker.name}, {"problem", error.what()}});
+    } catch (const nlohmann::json::exception& error) {
+      problems.push_back(
+          {{"worker", worker.name}, {"problem", std::string("its page cannot be read: ") + error.what()}});
+    }
+  }
+  if (!wanted) return counted;
+  const auto text = event("topology", discovery::to_text(Json{{"topology", topology.record.name.str()},
+                                                              {"at_ms", clock_.wall_ms()},
+                                                              {"pages", std::move(pages)},
+                                                              {"former", former(topology.record.name)},
+                                                              {"problems", std::move(problems)}}));
+  const config::MutexLock lock(mutex_);
+  for (auto& follower : followers_) {
+    if (follower.stream && follower.wanted.topology == topology.record.name) send(follower, text);
+  }
+  return counted;
+}
+
+/// Remembers what the components have counted, now and then. A topology that has gone is forgotten.
+void Live::remember(const std::map<std::string, Counted>& now) {
+  const auto at = clock_.now();
+  std::erase_if(remembered_, [&](const auto& entry) { return !now.contains(entry.first); });
+  for (const auto& [topology, counted] : now) {
+    auto& all = remembered_[topology];
+    if (!all.empty() && at - all.back().at < options_.remember) continue;
+    all.push_back({at, counted.components});
+    if (all.size() > former_spans.back() + 2U) all.pop_front();
+  }
+}
+
+/// What the components had counted some time ago, for each time from which on it is known.
+Json Live::former(const discovery::TopologyName& topology) const {
+  Json all = Json::array();
+  const auto found = remembered_.find(topology);
+  if (found == remembered_.end()) return all;
+  for (const int times : former_spans) {
+    const auto span = times * options_.remember;
+    const auto newest = std::find_if(found->second.rbegin(), found->second.rend(), [&](const Remembered& remembered) {
+      return clock_.now() - remembered.at >= span;
+    });
+    if (newest == found->second.rend()) break;
+    all.push_back({{"span_ms", span.count()}, {"components", newest->components}});
+  }
+  return all;
+}
+
+void Live::add_point(const std::map<std::string, Counted>& now) {
+  const auto at = clock_.now();
+  const auto seconds = std::chrono::duration<double>(at - counted_at_).count();
+  const bool first = counted_at_ == config::Clock::Instant{};
+  counted_at_ = at;
+  Point point{clock_.wall_ms(), 0, std::nullopt};
+  std::map<double, std::uint64_t> complete;
+  for (const auto& [topology, counted] : now) {
+    const auto before = counted_.find(topology);
+    if (before == counted_.end() || counted.emitted < before->second.emitted) continue;  // it is new, or began again
+    point.per_second += static_cast<double>(counted.emitted - before->second.emitted) / seconds;
+    for (const auto& [end, count] : counted.complete) {
+      const auto then = before->second.complete.find(end);
+      const auto former = then == before->second.complete.end() ? 0 : then->second;
+      if (count > former) complete[end] += count - former;
+    }
+  }
+  counted_ = now;
+  if (first) return;
+  if (!complete.empty()) point.p99_us = quantile(complete, 0.99);
+  const config::MutexLock lock(mutex_);
+  points_.push_back(point);
+  if (points_.size() > options_.points) points_.pop_front();
+  const auto text = event(
+      "series",
+      discovery::to_text(Json{{"reset", false},
+                              {"points", Json::array({Json::array({point.time_ms, point.per_second,
+                                                                   point.p99_us ? Json(*point.p99_us) : Json()})})}}));
+  for (auto& follower : followers_) {
+    if (follower.stream && !follower.series_fresh) send(follower, text);
+  }
+}
+
+}  // namespace iotcloud::master

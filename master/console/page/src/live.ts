@@ -1,0 +1,173 @@
+// The stream of changes, and what is known by it. One stream for a page; none while the page is hidden, because a browser
+// has few connections to one host, and the master looks at nothing that nobody sees.
+import {get, type Me, type Row, type State, type TopologyPages} from "./api";
+
+/** A point of the last hour: time in ms, tuples a second, p99 in us. */
+export type Point = [number, number, number | null];
+
+export interface Wanted {
+  rows: boolean;
+  where: string;
+  topology: string;
+}
+
+export interface Known {
+  me: Me | null;
+  state: State | null;
+  rows: Map<string, Row>;
+  rowsComplete: boolean;
+  points: Point[];
+  topology: TopologyPages | null;
+  formerTopology: TopologyPages | null;
+  connected: boolean;
+  silentSince: number;
+  /** Grows with each change of `rows`. */
+  rowsVersion: number;
+}
+
+export const known: Known = {
+  me: null, state: null, rows: new Map(), rowsComplete: false, points: [], topology: null, formerTopology: null,
+  connected: false, silentSince: Date.now(), rowsVersion: 0,
+};
+
+const listeners = new Set<() => void>();
+let told = false;
+
+export function subscribe(listener: () => void): () => void {
+  listeners.add(listener);
+  return () => listeners.delete(listener);
+}
+
+/** Tells the parts of the page once for all that changes together. */
+export function changed(): void {
+  if (told) return;
+  told = true;
+  queueMicrotask(() => {
+    told = false;
+    for (const listener of [...listeners]) listener();
+  });
+}
+
+const keyOf = (row: {gateway: string; instance: string}): string => `${row.gateway}/${row.instance}`;
+
+let wanted: Wanted | null = null;
+let stream: EventSource | null = null;
+let retry = 0;
+let hiddenSince = 0;
+const hiddenLimit = 15_000;
+
+export function want(next: Wanted): void {
+  const same = wanted && wanted.rows === next.rows && wanted.where === next.where && wanted.topology === next.topology;
+  if (same && stream) return;
+  if (!wanted || wanted.where !== next.where || !next.rows) {
+    known.rows = new Map();
+    known.rowsComplete = false;
+    known.rowsVersion++;
+  }
+  if (!wanted || wanted.topology !== next.topology) known.topology = known.formerTopology = null;
+  wanted = next;
+  open();
+  changed();
+}
+
+function close(): void {
+  stream?.close();
+  stream = null;
+  clearTimeout(retry);
+}
+
+function open(): void {
+  close();
+  if (!wanted || known.me?.role === "anyone") return;
+  const query = new URLSearchParams();
+  if (wanted.rows) query.set("rows", "1");
+  if (wanted.where) query.set("where", wanted.where);
+  if (wanted.topology) query.set("topology", wanted.topology);
+  const mine = new EventSource(`/api/live?${query}`);
+  stream = mine;
+  const on = (name: string, take: (data: any) => void) =>
+    mine.addEventListener(name, (event) => {
+      if (stream !== mine) return;
+      known.connected = true;
+      take(JSON.parse((event as MessageEvent).data));
+      changed();
+    });
+  on("state", (data: State) => { known.state = data; });
+  on("rows", (data: {reset: boolean; set: Row[]; gone: {gateway: string; instance: string}[]}) => {
+    if (data.reset) known.rows = new Map();
+    for (const row of data.set) known.rows.set(keyOf(row), row);
+    for (const row of data.gone) known.rows.delete(keyOf(row));
+    known.rowsComplete = true;
+    known.rowsVersion++;
+  });
+  on("series", (data: {reset: boolean; points: Point[]}) => {
+    known.points = data.reset ? data.points : [...known.points, ...data.points].slice(-360);
+  });
+  on("topology", (data: TopologyPages) => {
+    known.formerTopology = known.topology;
+    known.topology = data;
+  });
+  on("over", () => {
+    close();
+    void whoAmI();
+  });
+  mine.onopen = () => {
+    known.connected = true;
+    changed();
+  };
+  mine.onerror = () => {
+    if (stream !== mine) return;
+    if (known.connected) known.silentSince = Date.now();
+    known.connected = false;
+    changed();
+    close();
+    retry = window.setTimeout(() => void reconnect(), 1000);
+  };
+}
+
+/** The master was silent: asks it again, and then the consoles of the other masters. */
+async function reconnect(): Promise<void> {
+  try {
+    known.me = await get("/api/me");
+    changed();
+    return open();
+  } catch {
+    // it does not answer
+  }
+  for (const other of Date.now() - known.silentSince > 1500 ? known.me?.others ?? [] : []) {
+    try {
+      await fetch(`${other}/alive`, {mode: "no-cors", credentials: "omit", cache: "no-store",
+                                     signal: AbortSignal.timeout(2000)});
+      const [path] = location.hash.split("?");
+      location.replace(`${other}/${path || "#/"}?instead-of=${encodeURIComponent(known.me?.master ?? location.host)}`);
+      return;
+    } catch {
+      // nor does this one
+    }
+  }
+  clearTimeout(retry);
+  retry = window.setTimeout(() => void reconnect(), 1000);
+}
+
+export async function whoAmI(): Promise<void> {
+  try {
+    known.me = await get("/api/me");
+  } catch {
+    known.connected = false;
+    clearTimeout(retry);
+    retry = window.setTimeout(() => void whoAmI(), 1000);
+  }
+  changed();
+  if (known.me && known.me.role !== "anyone" && wanted && !stream) open();
+}
+
+document.addEventListener("visibilitychange", () => {
+  if (document.hidden) {
+    hiddenSince = Date.now();
+    window.setTimeout(() => {
+      if (document.hidden && Date.now() - hiddenSince >= hiddenLimit) close();
+    }, hiddenLimit);
+  } else if (!stream && wanted) {
+    open();
+  }
+});

@@ -1,0 +1,178 @@
+#include <chrono>
+#include <cstdlib>
+#include <filesystem>
+#include <string>
+
+#include <fcntl.h>
+#include <gmock/gmock.h>
+#include <poll.h>
+#include <termios.h>
+#include <unistd.h>
+
+#include <iotcloud/drivers/serial/serial_driver.h>
+#include <iotcloud/tests/drivers/stream/until.h>
+#include <iotcloud/tests/temporary_folder.h>
+
+namespace iotcloud::drivers::serial {
+namespace {
+
+using namespace std::chrono_literals;
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+
+/// A serial line whose other end is a terminal of the kernel: the device is the test.
+class Line {
+ public:
+  Line() : device_(posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC)) {
+    EXPECT_EQ(grantpt(device_), 0);
+    EXPECT_EQ(unlockpt(device_), 0);
+  }
+  ~Line() { unplug(); }
+  Line(const Line&) = delete;
+  Line& operator=(const Line&) = delete;
+
+  std::string path() const { return ptsname(device_); }
+  void write(const std::string& bytes) const {
+    EXPECT_EQ(::write(device_, bytes.data(), bytes.size()), static_cast<ssize_t>(bytes.size()));
+  }
+  /// What the driver has sent, and comes within patience.
+  std::string read(std::size_t size) const {
+    std::string bytes;
+    pollfd waiting{device_, POLLIN, 0};
+    while (bytes.size() < size && poll(&waiting, 1, 60'000) == 1) {
+      char buffer[256];
+      const ssize_t count = ::read(device_, buffer, sizeof buffer);
+      if (count <= 0) break;
+      bytes.append(buffer, static_cast<std::size_t>(count));
+    }
+    return bytes;
+  }
+  termios settings() const {
+    termios line{};
+    EXPECT_EQ(tcgetattr(device_, &line), 0);
+    return line;
+  }
+  void unplug() {
+    if (device_ >= 0) ::close(device_);
+    device_ = -1;
+  }
+
+ private:
+  int device_;
+};
+
+Descriptor serial() {
+  return describe<SerialDriver>("serial", "test");
+}
+
+TEST(Serial, carries_frames_both_ways_on_a_line_as_it_was_set) {
+  Line line;
+  testing::MockInstance scale(serial(),
+                              {{"device", line.path()}, {"baud", "9600"}, {"stop_bits", "2"}, {"delimiter", "\\r\\n"}});
+  ASSERT_TRUE(scale.start()) << scale.error();
+  EXPECT_EQ(scale.host().metadata()["connection"], "connected");
+  const termios set = line.settings();
+  EXPECT_EQ(cfgetospeed(&set), speed_t{B9600});
+  EXPECT_EQ(set.c_cflag & CSTOPB,
+            tcflag_t{CSTOPB});  // the kernel's terminals have 8 bits and no parity, whatever one sets
+  EXPECT_EQ(set.c_lflag & (ICANON | ECHO), tcflag_t{0});
+  line.write("12.5 kg\r\n12.");
+  line.write("6 kg\r\n");
+  ASSERT_TRUE(until_published(scale, "received", 2));
+  EXPECT_THAT(texts(scale, "received"), ElementsAre("12.5 kg", "12.6 kg"));
+  ASSERT_TRUE(scale.deliver("send", command("tare")));
+  EXPECT_EQ(line.read(6), "tare\r\n");
+}
+
+TEST(Serial, finds_a_device_again_that_was_unplugged) {
+  tests::TemporaryFolder folder;
+  const std::string link = folder / "scale";
+  testing::MockInstance scale(serial(), {{"device", link}, {"reconnect_ms", "100"}});
+  ASSERT_TRUE(scale.start()) << scale.error();
+  EXPECT_EQ(scale.host().metadata()["connection"], "away");
+  EXPECT_THAT(scale.host().metadata()["connection_problem"], HasSubstr("No such file"));
+  Line first, second;
+  std::filesystem::create_symlink(first.path(), link);
+  scale.host().advance(100ms);
+  ASSERT_EQ(scale.host().metadata()["connection"], "connected");
+  EXPECT_EQ(scale.host().metadata().count("connection_problem"), 0U);
+  first.unplug();
+  ASSERT_TRUE(until_metadata(scale, "connection", "away"));
+  ASSERT_TRUE(scale.deliver("send", command("lost")));
+  EXPECT_EQ(scale.host().logged_count("the device is away (while_away is drop)"), 1U);
+  std::filesystem::remove(link);
+  std::filesystem::create_symlink(second.path(), link);
+  scale.host().advance(100ms);  // the second pause is twice the first
+  EXPECT_EQ(scale.host().metadata()["connection"], "away");
+  scale.host().advance(100ms);
+  ASSERT_EQ(scale.host().metadata()["connection"], "connected");
+  second.write("back\n");
+  ASSERT_TRUE(until_published(scale, "received", 1));
+  EXPECT_THAT(texts(scale, "received"), ElementsAre("back"));
+}
+
+TEST(Serial, reads_no_further_while_its_channel_is_full) {
+  Line line;
+  testing::MockInstance scale(serial(), {{"device", line.path()}});
+  ASSERT_TRUE(scale.start()) << scale.error();
+  scale.host().answer_publish("received", PublishStatus::would_block);
+  line.write("1\n2\n");
+  ASSERT_GT(scale.host().poll_descriptors(60s), 0U);
+  line.write("3\n");
+  EXPECT_EQ(scale.host().poll_descriptors(0ms), 0U);  // nobody reads
+  scale.host().answer_publish("received", PublishStatus::accepted);
+  ASSERT_TRUE(scale.writable("received"));
+  ASSERT_TRUE(until_published(scale, "received", 3));
+  EXPECT_THAT(texts(scale, "received"), ElementsAre("1", "2", "3"));
+}
+
+TEST(Serial, forgets_a_frame_whose_end_does_not_come) {
+  Line line;
+  testing::MockInstance scale(serial(), {{"device", line.path()}, {"framing", "length"}, {"frame_limit_ms", "50"}});
+  ASSERT_TRUE(scale.start()) << scale.error();
+  line.write(std::string("\0\5no", 4));
+  ASSERT_GT(scale.host().poll_descriptors(60s), 0U);
+  scale.host().advance(50ms);
+  line.write(std::string("\0\3yes", 5));
+  ASSERT_TRUE(until_published(scale, "received", 1));
+  EXPECT_THAT(texts(scale, "received"), ElementsAre("yes"));
+}
+
+TEST(Serial, drops_frames_while_it_is_inactive) {
+  Line line;
+  testing::MockInstance scale(serial(), {{"device", line.path()}});
+  ASSERT_TRUE(scale.open()) << scale.error();
+  line.write("early\n");
+  ASSERT_GT(scale.host().poll_descriptors(60s), 0U);
+  ASSERT_TRUE(scale.activate());
+  line.write("now\n");
+  ASSERT_TRUE(until_published(scale, "received", 1));
+  EXPECT_THAT(texts(scale, "received"), ElementsAre("now"));
+}
+
+TEST(Serial, leaves_a_line_alone_that_another_instance_has) {
+  Line line;
+  testing::MockInstance first(serial(), {{"device", line.path()}}), second(serial(), {{"device", line.path()}});
+  ASSERT_TRUE(first.start()) << first.error();
+  ASSERT_TRUE(second.start()) << second.error();
+  EXPECT_THAT(second.host().metadata()["connection_problem"], HasSubstr("in use"));
+}
+
+TEST(Serial, says_which_property_is_wrong) {
+  const auto error_with = [](const PropertyMap& properties) {
+    testing::MockInstance instance(serial(), properties);
+    EXPECT_FALSE(instance.open());
+    return instance.error();
+  };
+  EXPECT_THAT(error_with({}), HasSubstr("device"));
+  EXPECT_THAT(error_with({{"device", "x"}, {"baud", "9601"}}), HasSubstr("9601"));
+  EXPECT_THAT(error_with({{"device", "x"}, {"delimeter", ";"}}), HasSubstr("did you mean \"delimiter\"?"));
+  EXPECT_THAT(error_with({{"device", "x"}, {"reconnect_ms", "900"}, {"reconnect_most_ms", "100"}}),
+              HasSubstr("at least reconnect_ms"));
+  testing::MockInstance file(serial(), {{"device", "/dev/null"}});
+  ASSERT_TRUE(file.start());
+  EXPECT_THAT(file.host().metadata()["connection_problem"], HasSubstr("no serial line"));
+}
+
+}  // namespace
+}  // namespace iotcloud::drivers::serial

@@ -1,0 +1,114 @@
+#!/usr/bin/python3
+"""`iotcloud record`, `info` and `play` with RabbitMQ and ZooKeeper: a recorder that is killed loses no message, a replay driver sends
+what was recorded in its order and at its pace, and so does a play.
+
+usage: recording_test.py BUILD_DIR
+"""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+sys.path.insert(0, str(HERE.parent / "servers"))
+
+from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
+from private_server import die_with_parent  # noqa: E402
+
+SENT = 600
+RATE = 200
+
+
+class Recordings(PrivateCluster):
+    def record(self, file, *words):
+        """A recorder that has begun."""
+        command = [self.bin / "iotcloud", "record", self.out / file, "--registry", self.zookeeper, *words]
+        return subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, text=True,
+                                preexec_fn=die_with_parent)
+
+    def info(self, file):
+        done = subprocess.run([self.bin / "iotcloud", "info", "-o", "json", self.out / file], capture_output=True, text=True)
+        return json.loads(done.stdout) if done.returncode == 0 else {"messages": 0}
+
+    def messages(self, file):
+        """[topic, sequence, log time, publish time, payload] of each."""
+        read = subprocess.run([self.bin / "recording_files", "messages", self.out / file],
+                              capture_output=True, text=True, check=True)
+        return json.loads(read.stdout)
+
+    def end(self, recorder, how=signal.SIGINT):
+        recorder.send_signal(how)
+        said, _ = recorder.communicate(timeout=60)
+        require(how == signal.SIGKILL or recorder.returncode == 0, said)
+
+
+def check_kill(system):
+    """What a killed recorder has not written, the next one of its group gets: nothing is lost."""
+    first = system.record("killed.mcap", "--where", 'driver == "loadgen"', "--group", "judge")
+    system.deploy("loadgen.so", "gateway-1", {"rate": RATE, "count": SENT, "size": 100})
+    wait_for("some of it is in the file", lambda: system.info("killed.mcap")["messages"] > 100)
+    system.end(first, signal.SIGKILL)
+    killed = system.info("killed.mcap")
+    require(not killed["whole"] and "no end" in killed["problem"], killed)
+    second = system.record("rest.mcap", "--where", 'driver == "loadgen"', "--group", "judge")
+
+    def payloads():
+        return [message[4] for file in ("killed.mcap", "rest.mcap") for message in system.messages(file)]
+
+    wait_for("all is recorded", lambda: system.info("rest.mcap")["messages"] and len(set(payloads())) == SENT)
+    system.end(second)
+    require(system.info("rest.mcap")["whole"], system.info("rest.mcap"))
+    for file in ("killed.mcap", "rest.mcap"):
+        numbers = [int.from_bytes(bytes.fromhex(message[4])[16:24], "little") for message in system.messages(file)]
+        require(numbers == sorted(numbers), f"{file} is not in order")
+
+
+def check_replay(system):
+    """A replay driver sends the recorded messages under the recorded driver's name; a play sends them to its channels."""
+    recorded = system.messages("killed.mcap")
+    recorder = system.record("replayed.mcap", "--where", 'driver == "meter"')
+    file = system.out / "killed.mcap"
+    began = time.monotonic()
+    answer = system.json("deploy", "replay.so", "--driver", "meter", "--gateway", "gateway-1", f"--property=file={file}")
+    instance = answer["outcomes"][0]["instance"]
+    wait_for("the replay is recorded", lambda: system.info("replayed.mcap")["messages"] == len(recorded))
+    elapsed = time.monotonic() - began
+    system.end(recorder)
+    replayed = system.messages("replayed.mcap")
+    require([m[4] for m in replayed] == [m[4] for m in recorded], "the replay sent other messages, or in another order")
+    require([m[3] for m in replayed] == [m[3] for m in recorded], "the replay's messages have other times")
+    span = (recorded[-1][2] - recorded[0][2]) / 1e9
+    require(elapsed > span, f"the replay took {elapsed:.3f} s, and what it replayed {span:.3f} s")
+
+    recorder = system.record("played.mcap", "--where", 'driver == "meter"')
+    known = system.info("killed.mcap")["channels"][0]["instance"]
+    played = system.bin / "iotcloud", "play", file, "--registry", system.zookeeper, "--speed", "4", "--to", f"{known}={instance}"
+    done = subprocess.run([str(word) for word in played], capture_output=True, text=True)
+    require(done.returncode == 0 and f"{len(recorded)} messages played, {len(recorded)} taken" in done.stdout, done)
+    wait_for("the play is recorded", lambda: system.info("played.mcap")["messages"] == len(recorded))
+    system.end(recorder)
+    require([m[4] for m in system.messages("played.mcap")] == [m[4] for m in recorded], "the play sent other messages")
+    done = subprocess.run([str(word) for word in (*played[:-1], f"{known}=nobody")], capture_output=True, text=True)
+    require(done.returncode == 1 and "the system has no loadgen" in done.stderr, done)
+
+
+def main():
+    build = Path(sys.argv[1]).resolve()
+    out = build / "recording-test"
+    shutil.rmtree(out, ignore_errors=True)
+    with Recordings(out, build / "bin", build / "plugins") as system:
+        system.start(gateways=1)
+        system.wait_until_ready()
+        check_kill(system)
+        check_replay(system)
+        system.undeploy_all()
+        system.require_alive()
+    print("recorded, killed, replayed and played")
+
+
+if __name__ == "__main__":
+    main()
