@@ -202,6 +202,7 @@ Recorder::Progress Recorder::progress() const {
   for (const auto& [channel, problem] : impl_->troubles) progress.troubles.push_back(channel + ": " + problem);
   std::set<std::string> away;
   for (const auto& [key, reader] : impl_->readers) {
+    if (reader.subscription && reader.subscription->active()) ++progress.listening;
     if (reader.broker && reader.broker->state() != brokers::ConnectionState::connected)
       away.insert(fmt::format("the broker \"{}\" is {}{}", key.first, brokers::to_string(reader.broker->state()),
                               reader.broker->problem().empty() ? "" : ": " + reader.broker->problem()));

@@ -33,7 +33,8 @@ struct RecordOptions {
 class Recorder {
  public:
   struct Progress {
-    std::size_t channels = 0;  ///< that are read
+    std::size_t channels = 0;   ///< that are read
+    std::size_t listening = 0;  ///< of them, those whose broker hands over every message from now on
     std::uint64_t messages = 0;
     std::uint64_t redelivered = 0;        ///< of them, those that a broker may have handed over before
     std::uint64_t bytes = 0;              ///< of the file

@@ -8,6 +8,7 @@
 #include <iostream>
 #include <set>
 #include <thread>
+#include <utility>
 
 #include <CLI/CLI.hpp>
 #include <fmt/chrono.h>
@@ -122,7 +123,7 @@ int record(const Words& words, const sigset_t& ending) {
           ? begin + std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double>(words.seconds))
           : std::chrono::steady_clock::time_point::max();
   std::set<std::string> told;
-  std::size_t channels = 0;
+  std::pair<std::size_t, std::size_t> listening;
   recorder::Recorder::Progress progress;
   while (true) {
     const auto now = std::chrono::steady_clock::now();
@@ -138,9 +139,9 @@ int record(const Words& words, const sigset_t& ending) {
       if (told.insert(trouble).second)
         std::fprintf(stderr, "iotcloud-recorder: %s\n", output::printable(trouble).c_str());
     }
-    if (progress.channels != channels) {
-      channels = progress.channels;
-      std::fprintf(stderr, "%zu channels\n", channels);
+    if (const std::pair present{progress.listening, progress.channels}; present != listening) {
+      listening = present;
+      std::fprintf(stderr, "listens to %zu of %zu channels\n", progress.listening, progress.channels);
     }
     if (!progress.failure.empty() || (most_bytes > 0 && progress.bytes >= most_bytes)) break;
   }
