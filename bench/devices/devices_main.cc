@@ -1,119 +1,152 @@
-// Plays many devices at an MQTT broker: announces them as Home Assistant's discovery wants, sends readings of all of
-// them at a steady rate, and hears each twice: as a bare subscriber of the devices' topics, and as what comes back
-// through the system. bench/devices_report.py runs it.
+// Plays many devices at an MQTT broker: announces them as Home Assistant's discovery wants, and sends readings of all
+// of them at a steady rate. A bare subscriber of the devices' topics hears them in this process, and the topology's
+// bolt (readings_bolt.cc) on the other board. bench/devices_report.py runs it.
+#include <algorithm>
+#include <array>
 #include <atomic>
+#include <cerrno>
 #include <chrono>
 #include <cstdint>
 #include <cstdio>
 #include <cstdlib>
 #include <cstring>
+#include <filesystem>
 #include <iostream>
 #include <memory>
+#include <stdexcept>
 #include <string>
 #include <thread>
 #include <vector>
 
 #include <mosquitto.h>
+#include <poll.h>
+#include <sys/prctl.h>
 
+#include <iotcloud/bench/devices/board.h>
 #include <iotcloud/bench/harness/latency_histogram.h>
+#include <iotcloud/bench/harness/machine.h>
 
 namespace iotcloud::bench {
 namespace {
 
-using Steady = std::chrono::steady_clock;
+constexpr std::int64_t ns_per_s = 1'000'000'000;
 
-std::int64_t now_ns() {
-  return std::chrono::duration_cast<std::chrono::nanoseconds>(Steady::now().time_since_epoch()).count();
+void require(int status, const char* what) {
+  if (status != MOSQ_ERR_SUCCESS) throw std::runtime_error(std::string(what) + ": " + mosquitto_strerror(status));
 }
 
-/// The head of a reading; its topic says of which device it is.
-struct Reading {
-  std::int64_t due_ns = 0;  ///< when it was to be sent
-  std::uint64_t number = 0;
+struct Free {
+  void operator()(mosquitto* client) const { mosquitto_destroy(client); }
 };
+using Client = std::unique_ptr<mosquitto, Free>;
 
-/// What one subscriber has heard of the readings: each once, or not.
-class Heard {
+Client make_client(void* of) {
+  Client client(mosquitto_new(nullptr, true, of));
+  if (!client) throw std::runtime_error("no client of the library");
+  mosquitto_int_option(client.get(), MOSQ_OPT_TCP_NODELAY, 1);
+  mosquitto_max_inflight_messages_set(client.get(), 0);
+  return client;
+}
+
+/// A subscriber with nothing around the library, on a thread of the library.
+class BareSubscriber {
  public:
-  explicit Heard(std::uint64_t most) : seen_(std::make_unique<std::atomic<bool>[]>(most)), most_(most) {}
-  void take(const mosquitto_message& message, std::uint64_t counts_from) {
-    Reading reading;
-    if (static_cast<std::size_t>(message.payloadlen) < sizeof reading) return;
-    std::memcpy(&reading, message.payload, sizeof reading);
-    if (reading.number >= most_ || seen_[reading.number].exchange(true)) return;
-    ++count_;
-    if (reading.number >= counts_from) latency_.record_ns(now_ns() - reading.due_ns);
-  }
-  std::uint64_t count() const { return count_; }
-  LatencyHistogram::Summary summary() const { return latency_.summary(); }
-
- private:
-  const std::unique_ptr<std::atomic<bool>[]> seen_;
-  const std::uint64_t most_;
-  std::atomic<std::uint64_t> count_{0};
-  LatencyHistogram latency_;
-};
-
-/// A connection to the broker on a thread of the library.
-class Connection {
- public:
-  Connection(int port, const std::string& filter, Heard* heard, std::uint64_t counts_from)
-      : filter_(filter), heard_(heard), counts_from_(counts_from), client_(mosquitto_new(nullptr, true, this)) {
-    mosquitto_int_option(client_, MOSQ_OPT_TCP_NODELAY, 1);
-    mosquitto_max_inflight_messages_set(client_, 0);
-    mosquitto_connect_callback_set(client_, [](mosquitto* client, void* self, int code) {
-      auto& own = *static_cast<Connection*>(self);
-      if (code != 0) return;
-      if (own.filter_.empty()) {
-        own.ready_ = true;
-      } else {
-        mosquitto_subscribe(client, nullptr, own.filter_.c_str(), 1);
-      }
+  BareSubscriber(int port, const char* filter, Board& board)
+      : filter_(filter), board_(board), client_(make_client(this)) {
+    mosquitto_connect_callback_set(client_.get(), [](mosquitto* client, void* self, int code) {
+      if (code == 0) mosquitto_subscribe(client, nullptr, static_cast<BareSubscriber*>(self)->filter_, 1);
     });
-    mosquitto_subscribe_callback_set(
-        client_, [](mosquitto*, void* self, int, int, const int*) { static_cast<Connection*>(self)->ready_ = true; });
-    mosquitto_publish_callback_set(client_,
-                                   [](mosquitto*, void* self, int) { ++static_cast<Connection*>(self)->sent_; });
-    mosquitto_message_callback_set(client_, [](mosquitto*, void* self, const mosquitto_message* message) {
-      auto& own = *static_cast<Connection*>(self);
-      if (own.heard_ != nullptr) own.heard_->take(*message, own.counts_from_);
+    mosquitto_subscribe_callback_set(client_.get(), [](mosquitto*, void* self, int, int, const int*) {
+      static_cast<BareSubscriber*>(self)->ready_ = true;
     });
-    if (mosquitto_connect(client_, "127.0.0.1", port, 60) != MOSQ_ERR_SUCCESS) {
-      std::fprintf(stderr, "the broker at 127.0.0.1:%d cannot be reached\n", port);
-      std::exit(EXIT_FAILURE);
-    }
-    mosquitto_loop_start(client_);
+    mosquitto_message_callback_set(client_.get(), [](mosquitto*, void* self, const mosquitto_message* message) {
+      auto& own = *static_cast<BareSubscriber*>(self);
+      Reading reading;
+      if (Reading::parse({static_cast<const char*>(message->payload), static_cast<std::size_t>(message->payloadlen)},
+                         reading))
+        own.board_.take(reading);
+    });
+    require(mosquitto_connect(client_.get(), "127.0.0.1", port, 60), "the subscriber cannot connect");
+    mosquitto_loop_start(client_.get());
     while (!ready_) std::this_thread::sleep_for(std::chrono::milliseconds(1));
   }
-  ~Connection() {
-    mosquitto_disconnect(client_);
-    mosquitto_loop_stop(client_, false);
-    mosquitto_destroy(client_);
+  ~BareSubscriber() {
+    mosquitto_disconnect(client_.get());
+    mosquitto_loop_stop(client_.get(), false);
   }
-  Connection(const Connection&) = delete;
-  Connection& operator=(const Connection&) = delete;
+  BareSubscriber(const BareSubscriber&) = delete;
+  BareSubscriber& operator=(const BareSubscriber&) = delete;
 
-  void publish(const std::string& topic, const void* bytes, std::size_t size, bool retain) {
-    if (mosquitto_publish(client_, nullptr, topic.c_str(), static_cast<int>(size), bytes, 1, retain) !=
-        MOSQ_ERR_SUCCESS) {
-      std::fprintf(stderr, "a message cannot be published\n");
-      std::exit(EXIT_FAILURE);
+ private:
+  const char* const filter_;
+  Board& board_;
+  std::atomic<bool> ready_{false};
+  const Client client_;
+};
+
+/// The devices' connection, run by the calling thread: what is published goes into the socket at once, and no other
+/// thread has to wake up for it.
+class Sender {
+ public:
+  explicit Sender(int port) : client_(make_client(this)) {
+    prctl(PR_SET_TIMERSLACK, 1UL);
+    mosquitto_connect_callback_set(client_.get(), [](mosquitto*, void* self, int code) {
+      if (code == 0) static_cast<Sender*>(self)->ready_ = true;
+    });
+    mosquitto_publish_callback_set(client_.get(), [](mosquitto*, void* self, int number) {
+      auto& own = *static_cast<Sender*>(self);
+      ++own.confirmed_;
+      if (const std::int64_t due = own.due_[static_cast<std::uint16_t>(number)]; due != 0)
+        own.taken_.record_ns(now_ns() - due);
+    });
+    require(mosquitto_connect(client_.get(), "127.0.0.1", port, 60), "the sender cannot connect");
+    while (!ready_) run_until(now_ns() + ns_per_s);
+  }
+
+  /// \param due_ns when it was to be sent; 0: late() and taken() leave it out
+  void publish(const std::string& topic, const void* bytes, std::size_t size, bool retain, std::int64_t due_ns) {
+    if (published_ - confirmed_ == most_unconfirmed) {
+      throw std::runtime_error("the MQTT broker does not keep up: " + std::to_string(most_unconfirmed) +
+                               " messages are not confirmed");
     }
+    if (due_ns != 0) late_.record_ns(now_ns() - due_ns);
+    int number = 0;
+    require(mosquitto_publish(client_.get(), &number, topic.c_str(), static_cast<int>(size), bytes, 1, retain),
+            "a message cannot be published");
+    due_[static_cast<std::uint16_t>(number)] = due_ns;
     ++published_;
+  }
+
+  /// Serves the connection until a time, at least once.
+  void run_until(std::int64_t end_ns) {
+    do {
+      const std::int64_t left = std::max<std::int64_t>(end_ns - now_ns(), 0);
+      const timespec limit{left / ns_per_s, left % ns_per_s};
+      const short events = mosquitto_want_write(client_.get()) ? POLLIN | POLLOUT : POLLIN;
+      pollfd socket{mosquitto_socket(client_.get()), events, 0};
+      if (::ppoll(&socket, 1, &limit, nullptr) < 0 && errno != EINTR) throw std::runtime_error("ppoll failed");
+      if ((socket.revents & POLLOUT) != 0) require(mosquitto_loop_write(client_.get(), 1), "the sender's connection");
+      if ((socket.revents & ~POLLOUT) != 0) require(mosquitto_loop_read(client_.get(), 1), "the sender's connection");
+      require(mosquitto_loop_misc(client_.get()), "the sender's connection");
+    } while (now_ns() < end_ns);
   }
   /// Waits until the broker has confirmed all.
   void flush() {
-    while (sent_ < published_) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    while (confirmed_ < published_) run_until(now_ns() + ns_per_s / 1000);
   }
+  /// From when a message was due until it was handed to the library.
+  LatencyHistogram::Summary late() const { return late_.summary(); }
+  /// From when a message was due until the broker had confirmed it.
+  LatencyHistogram::Summary taken() const { return taken_.summary(); }
 
  private:
-  const std::string filter_;
-  Heard* const heard_;
-  const std::uint64_t counts_from_;
-  mosquitto* const client_;
-  std::atomic<bool> ready_{false};
-  std::atomic<std::uint64_t> sent_{0};
-  std::uint64_t published_ = 0;
+  static constexpr std::uint64_t most_unconfirmed = 60'000;  ///< MQTT has 65 535 numbers
+
+  bool ready_ = false;
+  std::uint64_t published_ = 0, confirmed_ = 0;
+  std::array<std::int64_t, 65'536> due_{};  ///< by number
+  LatencyHistogram late_, taken_;
+  const Client client_;
 };
 
 std::string device_name(std::uint64_t number) {
@@ -121,87 +154,97 @@ std::string device_name(std::uint64_t number) {
 }
 
 /// Announces so many devices, or takes the announcements back.
-void announce(Connection& hub, std::uint64_t devices, bool there) {
+void announce(Sender& sender, std::uint64_t devices, bool there) {
   for (std::uint64_t i = 0; i < devices; ++i) {
     const std::string name = device_name(i);
-    const std::string text = R"({"~":"bench/)" + name + R"(","stat_t":"~/reading","cmd_t":"~/echo","dev":{"ids":[")" +
-                             name + R"("],"mf":"bench","mdl":"reading"}})";
-    hub.publish("homeassistant/sensor/" + name + "/reading/config", text.data(), there ? text.size() : 0, true);
+    const std::string text = R"({"~":"bench/)" + name + R"(","stat_t":"~/reading","dev":{"ids":[")" + name +
+                             R"("],"mf":"bench","mdl":"reading"}})";
+    sender.publish("homeassistant/sensor/" + name + "/reading/config", text.data(), there ? text.size() : 0, true, 0);
   }
-  hub.flush();
+  sender.flush();
 }
 
-void print(const char* what, const Heard& heard) {
-  const auto of = heard.summary();
-  std::printf(R"(,"%s":{"count":%llu,"timed":%llu,"p50_us":%.1f,"p99_us":%.1f,"max_us":%.1f})", what,
-              static_cast<unsigned long long>(heard.count()), static_cast<unsigned long long>(of.count), of.p50_us,
-              of.p99_us, of.max_us);
+void print(const char* what, const LatencyHistogram::Summary& of) {
+  std::printf(R"(,"%s":{"timed":%llu,"p50_us":%.1f,"p99_us":%.1f,"max_us":%.1f})", what,
+              static_cast<unsigned long long>(of.count), of.p50_us, of.p99_us, of.max_us);
 }
 
-struct Options {
+void print(const char* what, const Board& board, std::uint64_t counts_from) {
+  std::printf(R"(,"%s_heard":%llu,"%s_again":%llu)", what, static_cast<unsigned long long>(board.count()), what,
+              static_cast<unsigned long long>(board.again()));
+  print(what, board.summary(counts_from));
+}
+
+struct Load {
   int port = 0;
-  std::uint64_t devices = 1000, rate = 5000, size = 100;
-  double warm_up_s = 2, seconds = 10, patience_s = 60;
+  std::filesystem::path boards;
+  std::uint64_t devices = 0, rate = 0, size = 0;
+  double warm_up_s = 0, seconds = 0, patience_s = 30;
 };
 
 /// Sends readings of all devices in turn, each when it is due, and waits until all that was sent has been heard, or
 /// nothing more comes.
-void load(const Options& options) {
-  const auto total =
-      static_cast<std::uint64_t>(static_cast<double>(options.rate) * (options.warm_up_s + options.seconds));
-  const auto counts_from = static_cast<std::uint64_t>(static_cast<double>(options.rate) * options.warm_up_s);
-  Heard bare(total), through(total);
-  const Connection subscriber(options.port, "bench/+/reading", &bare, counts_from);
-  const Connection back(options.port, "bench/+/echo", &through, counts_from);
-  Connection hub(options.port, "", nullptr, 0);
+void carry(const Load& load) {
+  const auto readings_in = [&](double seconds) {
+    return static_cast<std::uint64_t>(static_cast<double>(load.rate) * seconds);
+  };
+  const std::uint64_t counts_from = readings_in(load.warm_up_s);
+  const std::uint64_t total = counts_from + readings_in(load.seconds);
+  const std::int64_t run = now_ns(), step = ns_per_s / static_cast<std::int64_t>(load.rate);
+  Board bare(load.boards / ("bare-" + std::to_string(run)), total), through(Board::file(load.boards, run), total);
+  const BareSubscriber subscriber(load.port, "bench/+/reading", bare);
+  const auto sender = std::make_unique<Sender>(load.port);
   std::vector<std::string> topics;
-  for (std::uint64_t i = 0; i < options.devices; ++i) topics.push_back("bench/" + device_name(i) + "/reading");
-  std::string body(std::max(options.size, static_cast<std::uint64_t>(sizeof(Reading))), 'x');
-  const std::int64_t began = now_ns(), step = 1'000'000'000 / static_cast<std::int64_t>(options.rate);
+  for (std::uint64_t i = 0; i < load.devices; ++i) topics.push_back("bench/" + device_name(i) + "/reading");
+  std::string body(std::max(load.size, static_cast<std::uint64_t>(sizeof(Reading))), 'x');
+  const std::int64_t began = now_ns() + step;
+  constexpr std::uint64_t look_after = 16;  // how many late readings are sent before the broker's answers are read
   for (std::uint64_t i = 0; i < total; ++i) {
-    const Reading reading{began + static_cast<std::int64_t>(i) * step, i};
-    if (const std::int64_t left = reading.due_ns - now_ns(); left > 0)
-      std::this_thread::sleep_for(std::chrono::nanoseconds(left));
+    const Reading reading{run, began + static_cast<std::int64_t>(i) * step, i};
+    if (now_ns() < reading.due_ns || i % look_after == 0) sender->run_until(reading.due_ns);
     std::memcpy(body.data(), &reading, sizeof reading);
-    hub.publish(topics[i % options.devices], body.data(), body.size(), false);
+    sender->publish(topics[i % load.devices], body.data(), body.size(), false, i < counts_from ? 0 : reading.due_ns);
   }
-  const double sending_s = static_cast<double>(now_ns() - began) / 1e9;
+  const double sending_s = static_cast<double>(now_ns() - began) / ns_per_s;
+  sender->flush();
   std::uint64_t last = 0;
-  auto moved = Steady::now();
+  std::int64_t moved = now_ns();
   while ((bare.count() < total || through.count() < total) &&
-         Steady::now() - moved < std::chrono::duration<double>(options.patience_s)) {
-    std::this_thread::sleep_for(std::chrono::milliseconds(10));
+         now_ns() - moved < static_cast<std::int64_t>(load.patience_s * ns_per_s)) {
+    sender->run_until(now_ns() + ns_per_s / 100);
     if (const std::uint64_t now = bare.count() + through.count(); now != last) {
       last = now;
-      moved = Steady::now();
+      moved = now_ns();
     }
   }
   std::printf(R"({"sent":%llu,"seconds":%.3f)", static_cast<unsigned long long>(total), sending_s);
-  print("bare", bare);
-  print("through", through);
+  print("late", sender->late());
+  print("taken", sender->taken());
+  print("bare", bare, counts_from);
+  print("through", through, counts_from);
   std::printf("}\n");
 }
 
 int run(const std::vector<std::string>& words) {
-  Options options;
-  const auto number = [&](std::size_t at) { return std::stod(words.at(at)); };
-  if (words.size() < 3) {
+  const bool loads = !words.empty() && words[0] == "load";
+  if (words.size() != (loads ? 8 : 3)) {
     std::cerr << "usage: bench_devices announce|withdraw PORT DEVICES\n       bench_devices load PORT DEVICES RATE "
-                 "SIZE WARM-UP-S SECONDS\n";
+                 "SIZE WARM-UP-S SECONDS BOARDS\n";
     return EXIT_FAILURE;
   }
-  options.port = static_cast<int>(number(1));
-  options.devices = static_cast<std::uint64_t>(number(2));
+  Load load;
+  load.port = std::stoi(words[1]);
+  load.devices = std::stoull(words[2]);
   mosquitto_lib_init();
-  if (words[0] == "load") {
-    options.rate = static_cast<std::uint64_t>(number(3));
-    options.size = static_cast<std::uint64_t>(number(4));
-    options.warm_up_s = number(5);
-    options.seconds = number(6);
-    load(options);
+  if (loads) {
+    load.rate = std::stoull(words[3]);
+    load.size = std::stoull(words[4]);
+    load.warm_up_s = std::stod(words[5]);
+    load.seconds = std::stod(words[6]);
+    load.boards = words[7];
+    carry(load);
   } else {
-    Connection hub(options.port, "", nullptr, 0);
-    announce(hub, options.devices, words[0] == "announce");
+    announce(*std::make_unique<Sender>(load.port), load.devices, words[0] == "announce");
   }
   mosquitto_lib_cleanup();
   return EXIT_SUCCESS;

@@ -13,60 +13,30 @@ from pathlib import Path
 import paho.mqtt.client as mqtt
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "servers"))
-from private_cluster import PATIENT_STOP, PrivateCluster, free_port, require, wait_for  # noqa: E402
+from house import House  # noqa: E402
+from private_cluster import PATIENT_STOP, require, wait_for  # noqa: E402
 
 RULES = """
-finders: {{house: {{plugin: mqtt_finder.so, properties: {{url: "{url}", find: homeassistant}}}}}}
+finders: {house: {plugin: mqtt_finder.so, properties: {url: "{mqtt}", find: homeassistant}}}
 rules:
   devices:
     finder: house
     plugin: mqtt.so
-    name: "ha-{{id:name}}"
-    properties: {{url: "{url}", subscribe: "{{subscribe:topics}}"}}
+    name: "ha-{id:name}"
+    properties: {url: "{mqtt}", subscribe: "{subscribe:topics}"}
     grace: 1s
 """
 
 
-class House(PrivateCluster):
-    def begin(self):
-        self.zookeeper = self.server("zookeeper")
-        self.rabbitmq = self.server("rabbitmq")
-        self.mqtt = self.server("mosquitto")
-        self.state = self.out / "state"
-        rules = self.out / "rules.yaml"
-        rules.write_text(RULES.format(url=self.mqtt))
-        self.daemon("iotcloud-gateway", "gateway", f"""
-id: house
-registry: "{self.zookeeper}"
-thrift: {{host: 127.0.0.1, port: {free_port()}}}
-plugins: "{self.plugins}"
-state: "{self.state}"
-provisioning: "{rules}"
-brokers:
-  rabbitmq: {{type: rabbitmq, urls: ["{self.rabbitmq}"]}}
-""", options=PATIENT_STOP)
+class Devices(House):
+    def connect(self):
         self.hub = mqtt.Client("hub")
-        self.hub.connect("127.0.0.1", int(self.mqtt.rsplit(":", 1)[1]))
+        self.hub.connect("127.0.0.1", self.mqtt_port)
         self.hub.loop_start()
 
     def announce(self, device, there=True):
         text = json.dumps({"stat_t": f"{device}/state", "dev": {"ids": [device]}}) if there else ""
         self.hub.publish(f"homeassistant/sensor/{device}/config", text, qos=1, retain=True).wait_for_publish(60)
-
-    def states(self, driver):
-        """The last states of the driver's instances that are not undeployed, from the gateway's history."""
-        file, last = self.state / "history.jsonl", {}
-        for line in file.read_text().splitlines() if file.exists() else []:
-            try:
-                change = json.loads(line)
-            except ValueError:
-                continue  # it is just being written
-            last[change["instance"]] = change
-        return {name: change["state"] for name, change in last.items()
-                if change["driver"] == driver and change["state"] != "undeployed"}
-
-    def runs(self, driver, count):
-        return list(self.states(driver).values()) == ["active"] * count
 
     def hosts(self, plugin):
         """Ids of the processes that run this plugin, wherever they are: those of a dead gateway are nobody's children."""
@@ -84,8 +54,9 @@ brokers:
 def main():
     build = Path(sys.argv[1])
     with tempfile.TemporaryDirectory(prefix="iotcloud-provisioning-") as folder, \
-            House(Path(folder) / "house", build / "bin", build / "plugins") as house:
-        house.begin()
+            Devices(Path(folder) / "house", build / "bin", build / "plugins") as house:
+        house.begin(RULES, gateway=PATIENT_STOP)
+        house.connect()
         wait_for("the finder runs", lambda: house.runs("mqtt_finder", 1))
         for device in ("kitchen", "hall"):
             house.announce(device)
