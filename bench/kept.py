@@ -24,7 +24,9 @@ from figures import number
 
 BLOCK = re.compile(r"(<!-- result: (?P<name>[\w/.-]+)(?: (?P<chosen>[^\n]*?))? -->\n).*?(<!-- end of result -->)", re.S)
 # What tests measure beside what they test.
-OF_TESTS = {"pool": "./dev test -R topologies_are_submitted_to_pools", "storm_faults": "./dev test --long -R storm_under_faults",
+OF_TESTS = {"pool": "./dev test -R topologies_are_submitted_to_pools",
+            "recording": "./dev test --long -R ten_minutes_of_a_thousand_channels",
+            "storm_faults": "./dev test --long -R storm_under_faults",
             "storm_shares": "./dev test --long -R storm_tasks_share"}
 NEEDED = ("machine", "commit", "command", "results")
 

@@ -1,8 +1,16 @@
 // Writes a recording, or reads one, and prints its messages as JSON: for mcap_peer_test.py and recording_test.py.
 //   recording_files write none|lz4|zstd FILE    recording_files read FILE    recording_files messages UNFINISHED_FILE
+//   recording_files compare FILE PLAYED SPEED   says what differs between a recording and one of its play
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
+#include <cstdlib>
 #include <cstring>
 #include <exception>
+#include <map>
+#include <string>
+#include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 #include <nlohmann/json.hpp>
@@ -50,6 +58,60 @@ nlohmann::json read(const std::string& file, bool strict) {
   return messages;
 }
 
+using Channels = std::map<std::string, std::vector<RecordedMessage>>;
+
+/// The messages of each channel, in their order.
+Channels channels_of(const std::string& file) {
+  RecordingReader reader(file);
+  reader.check();
+  Channels channels;
+  while (auto message = reader.next()) {
+    const auto& channel = reader.channels().at(message->channel);
+    channels[channel.instance + ' ' + channel.name].push_back(std::move(*message));
+  }
+  return channels;
+}
+
+/// How many messages and channels there are in both; which of the recording's messages the play has not, or not at
+/// their place or with other bytes, properties or times; and by how much the spacing of arrivals, times the speed, is
+/// another one than the recorded one, in milliseconds: for each message, from the first of its file.
+nlohmann::json compare(const std::string& file, const std::string& played, double speed) {
+  const Channels was = channels_of(file), is = channels_of(played);
+  const auto begin = [](const Channels& channels) {
+    Instant first = Instant::max();
+    for (const auto& [name, messages] : channels) first = std::min(first, messages.front().at);
+    return first;
+  };
+  const Instant was_begun = begin(was), is_begun = begin(is);
+  nlohmann::json different = nlohmann::json::array();
+  std::vector<double> off_ms;
+  std::size_t bytes = 0;
+  for (const auto& [name, messages] : was) {
+    const auto found = is.find(name);
+    const std::size_t there = found == is.end() ? 0 : found->second.size();
+    if (there != messages.size()) different.push_back({name, messages.size(), there});
+    for (std::size_t i = 0; i < std::min(there, messages.size()); ++i) {
+      const RecordedMessage &a = messages[i], &b = found->second[i];
+      if (a.message.payload != b.message.payload || a.message.properties != b.message.properties ||
+          a.message.time_ms != b.message.time_ms)
+        different.push_back({name, i});
+      bytes += a.message.payload.size();
+      const double expected = static_cast<double>((a.at - was_begun).count());
+      off_ms.push_back(std::abs(static_cast<double>((b.at - is_begun).count()) * speed - expected) / 1e6);
+    }
+  }
+  for (const auto& [name, messages] : is) {
+    if (!was.contains(name)) different.push_back({name, 0, messages.size()});
+  }
+  std::sort(off_ms.begin(), off_ms.end());
+  const auto quantile = [&](double share) {
+    return off_ms.empty() ? 0 : off_ms[static_cast<std::size_t>(share * static_cast<double>(off_ms.size() - 1))];
+  };
+  return {{"channels", was.size()},   {"messages", off_ms.size()},   {"bytes", bytes},
+          {"different", different},   {"off_p50_ms", quantile(0.5)}, {"off_p99_ms", quantile(0.99)},
+          {"off_max_ms", quantile(1)}};
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -60,6 +122,8 @@ int main(int argc, char** argv) {
       std::puts(read(argv[2], true).dump().c_str());
     } else if (argc == 3 && std::strcmp(argv[1], "messages") == 0) {
       std::puts(read(argv[2], false).dump().c_str());
+    } else if (argc == 5 && std::strcmp(argv[1], "compare") == 0) {
+      std::puts(compare(argv[2], argv[3], std::atof(argv[4])).dump().c_str());
     } else {
       return 2;
     }

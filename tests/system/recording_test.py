@@ -1,11 +1,17 @@
 #!/usr/bin/python3
 """`iotcloud record`, `info` and `play` with RabbitMQ and ZooKeeper: a recorder that is killed loses no message, a replay driver sends
-what was recorded in its order and at its pace, and so does a play.
+what was recorded in its order and at its pace, and so does a play. RabbitMQ has the users and rights of docker-compose.yml: the gateway is
+gateway-1, the recorder one of the workers.
 
 usage: recording_test.py BUILD_DIR
+       recording_test.py BUILD_DIR --minutes 10 [--channels 1000] [--rate 1] [--speed 4] [--json FILE]
+                         records so many channels for so long, with so many messages a second on each, plays that so much faster, and
+                         records it again: each message must be there, with its bytes, in its order
 """
 
+import argparse
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -14,24 +20,51 @@ import time
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE.parent / "servers"))
+ROOT = HERE.parents[1]
+sys.path[:0] = [str(HERE.parent / "servers"), str(ROOT / "bench"), str(ROOT / "deploy/cluster")]
 
+import cluster as shipped  # noqa: E402
+import figures  # noqa: E402
+import versions  # noqa: E402
 from private_cluster import PrivateCluster, require, wait_for  # noqa: E402
 from private_server import die_with_parent  # noqa: E402
 
 RATE = 200
+SIZE = 100
+PASSWORD = "sesame"
 
 
 class Recordings(PrivateCluster):
+    def begin(self):
+        """Starts servers and a gateway."""
+        users, password = self.out / "users.json", self.out / "password"
+        users.write_text(shipped.rabbitmq_users(dict.fromkeys(shipped.RABBITMQ_USERS, PASSWORD)))
+        password.write_text(PASSWORD + "\n")
+        self.rabbitmq = self.server("rabbitmq", "--users", users)
+        own = f'type: rabbitmq, urls: ["{self.rabbitmq}"], password_file: "{password}"'
+        of_gateway = f'exchange: {shipped.GATEWAYS_EXCHANGE}, reader: gateway-1-reads, reader_password_file: "{password}"'
+        self.start(gateways=1, brokers=[f"rabbitmq: {{{own}, user: gateway-1, properties: {{{of_gateway}}}}}"])
+        self.config = self.out / "recorder.yaml"
+        self.config.write_text(f"brokers: {{rabbitmq: {{{own}, user: workers}}}}\n")
+        self.wait_until_ready()
+
     def record(self, file, *words):
         """A recorder that has begun; what it says is in FILE.said."""
-        command = [self.bin / "iotcloud", "record", self.out / file, "--registry", self.zookeeper, *words]
+        command = [self.bin / "iotcloud", "record", self.out / file, *self.access(), *words]
         with open(self.out / f"{file}.said", "w", encoding="utf-8") as said:
             return subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=said, text=True,
                                     preexec_fn=die_with_parent)
 
-    def said(self, file):
-        return (self.out / f"{file}.said").read_text(encoding="utf-8")
+    def wait_until_listening(self, file, channels):
+        wait_for(f"the recorder of {file} listens to {channels} channels",
+                 lambda: f"listens to {channels} of {channels} channels" in (self.out / f"{file}.said").read_text(encoding="utf-8"))
+
+    def access(self):
+        return ["--config", self.config, "--registry", self.zookeeper]
+
+    def play(self, file, *words):
+        command = [self.bin / "iotcloud", "play", self.out / file, *self.access(), *words]
+        return subprocess.run([str(word) for word in command], capture_output=True, text=True)
 
     def info(self, file):
         done = subprocess.run([self.bin / "iotcloud", "info", "-o", "json", self.out / file], capture_output=True, text=True)
@@ -45,8 +78,14 @@ class Recordings(PrivateCluster):
 
     def end(self, recorder, how=signal.SIGINT):
         recorder.send_signal(how)
-        said, _ = recorder.communicate(timeout=60)
+        said, _ = recorder.communicate(timeout=120)
         require(how == signal.SIGKILL or recorder.returncode == 0, said)
+
+    def compare(self, file, played, speed):
+        done = subprocess.run([self.bin / "recording_files", "compare", self.out / file, self.out / played, str(speed)],
+                              capture_output=True, text=True)
+        require(done.returncode == 0, done.stderr)
+        return json.loads(done.stdout)
 
 
 def numbers_of(messages):
@@ -100,11 +139,9 @@ def check_play(system):
     answer = system.json("deploy", "loadgen.so", "--driver", "silent", "--gateway", "gateway-1", "--property=count=1")
     instance = answer["outcomes"][0]["instance"]
     recorder = system.record("played.mcap", "--where", 'driver == "silent"')
-    wait_for("the recorder listens", lambda: "listens to 1 of 1 channels" in system.said("played.mcap"))
+    system.wait_until_listening("played.mcap", 1)
     known = system.info("killed.mcap")["channels"][0]["instance"]
-    played = (system.bin / "iotcloud", "play", system.out / "killed.mcap", "--registry", system.zookeeper, "--speed", "4",
-              "--to", f"{known}={instance}")
-    done = subprocess.run([str(word) for word in played], capture_output=True, text=True)
+    done = system.play("killed.mcap", "--speed", "4", "--to", f"{known}={instance}")
     require(done.returncode == 0 and f"{len(recorded)} messages played, {len(recorded)} taken" in done.stdout, done)
     payloads = [message[4] for message in recorded]
 
@@ -115,23 +152,86 @@ def check_play(system):
     wait_for("the play is recorded", lambda: system.info("played.mcap")["messages"] and len(taken()) == len(recorded))
     system.end(recorder)
     require(taken() == payloads, "the play sent other messages")
-    done = subprocess.run([str(word) for word in (*played[:-1], f"{known}=nobody")], capture_output=True, text=True)
+    done = system.play("killed.mcap", "--to", f"{known}=nobody")
     require(done.returncode == 1 and "the system has no loadgen" in done.stderr, done)
 
 
+def most_memory_mb(process):
+    """The most that the process and the program that it has become had resident so far."""
+    return int(re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{process}/status").read_text())[1]) / 1000
+
+
+def check_long(system, given):
+    """Returns the figures, in the form of a benchmark's results."""
+    each = round(given.rate * 60 * given.minutes)
+    seconds = 60 * given.minutes
+
+    recorder = system.record("long.mcap", "--where", 'driver == "loadgen"')
+    began = time.monotonic()
+    answer = system.answer("deploy", "loadgen.so", "--gateway", "gateway-1", "--count", given.channels, "--wait", 300,
+                           *(f"--property={name}={value}" for name, value in {"rate": given.rate, "count": each, "size": SIZE}.items()),
+                           limit=400)
+    require(answer["ok"], answer)
+    time.sleep(max(0, seconds - (time.monotonic() - began)))  # nothing else takes so long: `info` reads the whole file
+    total = -1
+    while (now := system.info("long.mcap")["messages"]) != total:
+        total = now
+        time.sleep(5)
+    require(total > 0.99 * each * given.channels, f"{total} messages of {each * given.channels} were recorded")
+    memory_mb = most_memory_mb(recorder.pid)
+    system.end(recorder)
+    recorded = system.info("long.mcap")
+    require(recorded["whole"] and len(recorded["channels"]) == given.channels, f"{len(recorded['channels'])} channels, {recorded['problem']}")
+
+    recorder = system.record("again.mcap", "--where", 'driver == "loadgen"')
+    system.wait_until_listening("again.mcap", given.channels)
+    done = system.play("long.mcap", "--speed", given.speed)
+    require(done.returncode == 0 and f"{total} messages played, {total} taken" in done.stdout, done)
+    late_ms = float(re.search(r"the latest was ([\d.]+) ms late", done.stdout)[1])
+    wait_for("the play is recorded", lambda: system.info("again.mcap")["messages"] == total, 600)
+    system.end(recorder)
+    same = system.compare("long.mcap", "again.mcap", given.speed)
+    require(not same["different"], f"{len(same['different'])} messages are different: {same['different'][:20]}")
+    require((same["channels"], same["messages"]) == (given.channels, total), same)
+    print(f"{total} messages of {given.channels} channels, recorded in {given.minutes:g} min: each came again with its bytes, properties "
+          f"and time, in its order; the play was at most {late_ms:.1f} ms late, and arrivals were off by {same['off_p50_ms']:.2f} ms (p50), "
+          f"{same['off_p99_ms']:.2f} ms (p99); the recorder had {memory_mb:.0f} MB")
+    name = f"{given.minutes:g} min of {given.channels} channels, {given.rate * given.channels:g}/s"
+    return [{"name": f"{name}: messages lost, out of order or other after record, play and record", "value": 0, "unit": "messages",
+             "target": "none", "met": True},
+            {"name": f"{name}: recorded and played", "value": total, "unit": "messages", "target": None, "met": None},
+            {"name": f"{name}: played {given.speed:g} x as fast, the latest", "value": late_ms, "unit": "ms late", "target": None, "met": None},
+            {"name": f"{name}: spacing of arrivals off by, p99", "value": same["off_p99_ms"], "unit": "ms", "target": None, "met": None},
+            {"name": f"{name}: most memory of the recorder", "value": memory_mb, "unit": "MB", "target": None, "met": None}]
+
+
 def main():
-    build = Path(sys.argv[1]).resolve()
-    out = build / "recording-test"
+    options = argparse.ArgumentParser()
+    options.add_argument("build", type=Path)
+    options.add_argument("--minutes", type=float, help="of the long recording; without it the short checks")
+    options.add_argument("--channels", type=int, default=1000)
+    options.add_argument("--rate", type=float, default=1, help="messages a second on each channel")
+    options.add_argument("--speed", type=float, default=4, help="of the play")
+    options.add_argument("--json", type=Path, help="writes the long recording's figures to this file")
+    given = options.parse_args()
+    begun = figures.begin(ROOT) if given.json else None
+    build = given.build.resolve()
+    out = build / ("long-recording-test" if given.minutes else "recording-test")
     shutil.rmtree(out, ignore_errors=True)
     with Recordings(out, build / "bin", build / "plugins") as system:
-        system.start(gateways=1)
-        system.wait_until_ready()
-        check_kill(system)
-        check_replay(system)
-        check_play(system)
-        system.undeploy_all()
+        system.begin()
+        if given.minutes:
+            results = check_long(system, given)
+        else:
+            check_kill(system)
+            check_replay(system)
+            check_play(system)
+            system.undeploy_all()
         system.require_alive()
-    print("recorded, killed, replayed and played")
+    if given.minutes and given.json:
+        figures.write(given.json, "./dev test --long -R ten_minutes_of_a_thousand_channels", begun,
+                      {"versions": versions.asked(build, "rabbitmq", "zookeeper")}, results)
+    print("recorded and played" if given.minutes else "recorded, killed, replayed and played")
 
 
 if __name__ == "__main__":

@@ -344,6 +344,7 @@ TEST_F(KafkaUsers, WorkersReachTheGatewaysTopicsOnly) {
     EXPECT_EQ(workers.publish(topic), "ok");
     EXPECT_EQ(workers.join("echo", topic), "ok");
     EXPECT_EQ(workers.join("echo#1", topic), "ok");
+    EXPECT_EQ(workers.join("record-0a1b2c3d", topic), "ok") << "a recording, which is a group of its own";
     EXPECT_EQ(workers.join("other", topic), not_for_group);
     EXPECT_EQ(workers.remove_topic(topic), not_for_topic);
   }
