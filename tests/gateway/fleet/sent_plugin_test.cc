@@ -2,6 +2,7 @@
 
 #include <unistd.h>
 
+#include <iotcloud/discovery/instance_name.h>
 #include <iotcloud/security/ed25519.h>
 #include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/security/sha256.h>
@@ -115,6 +116,35 @@ TEST_F(SentPluginTest, OnlyAnOrderOfAnUpdateOpensTheWayBackToTheVersionBefore) {
   give(sent("a", second));
   ASSERT_TRUE(comes_to("a", DriverState::failed));
   EXPECT_THAT(record("a")->reason, HasSubstr("version 2 of probe is older than version 3"));
+}
+
+TEST_F(SentPluginTest, WhatRulesRunNeedsASignatureToo) {
+  signature_required_ = true;
+  const auto bytes = probe("");
+  write("plugins/probe.so.sig", security::sign_plugin(lab_.private_pem, "lab", bytes, "probe", 1));
+  write("plugins/other.so.sig", signature_of("other bytes"));
+  auto given = options();
+  // An earlier run of the gateway had found "7" with each finder.
+  given.provisioned_file = write("provisioned.jsonl", R"({"finder":"good","thing":{"key":"7","attributes":{"id":"7"}}})"
+                                                      "\n");
+  given.provisioning = ProvisioningRules::parse(R"(
+finders:
+  good: {plugin: probe.so, properties: {channels: none}}
+  unsigned: {plugin: sick.so}
+rules:
+  first: {finder: good, where: 'id == "7"', plugin: other.so, name: "p-{id}", properties: {channels: none}}
+)",
+                                                "rules.yaml");
+  gateway_.emplace(std::move(given));
+  gateway_->start();
+  const auto id = [](const std::string& name) { return discovery::named_instance_id("gw"_gateway, name, 1).str(); };
+  ASSERT_TRUE(comes_to(id("good"), DriverState::active)) << (record(id("good")) ? record(id("good"))->reason : "");
+  ASSERT_TRUE(comes_to(id("unsigned"), DriverState::failed, "sick"));
+  EXPECT_THAT(record(id("unsigned"), "sick")->reason, HasSubstr("sick.so is not signed"));
+  ASSERT_TRUE(comes_to(id("p-7"), DriverState::failed, "other"));
+  EXPECT_EQ(record(id("p-7"), "other")->made_by, "rule first");
+  EXPECT_THAT(record(id("p-7"), "other")->reason, HasSubstr("a key that is trusted here"));
+  EXPECT_EQ(sockets().size(), 1u) << "no host was started for these";
 }
 
 TEST_F(SentPluginTest, AnInstanceRunsWhatWasSentAndItsRecordSaysWhichBytes) {
