@@ -3,6 +3,7 @@
 #include <array>
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <map>
 #include <optional>
 #include <set>
@@ -17,6 +18,9 @@
 #include <iotcloud/drivers/stream/device_state.h>
 
 namespace iotcloud::drivers::lan {
+
+/// Gets what was found: a key that is unique for its finder, and attributes.
+using OnFound = std::function<void(const std::string& key, const PropertyMap& attributes)>;
 
 /// Asks a group of machines again and again who they are, over UDP, and tells what it finds. What does not answer three
 /// times in a row is gone. A finder says what it asks, and what an answer means. Answers are input of strangers.

@@ -96,7 +96,8 @@ std::vector<std::string> MdnsFinder::questions() {
   return datagrams;
 }
 
-std::string MdnsFinder::answered(std::string_view bytes, const std::string& from) {
+std::string read_mdns_answer(std::string_view bytes, const std::string& from, const std::vector<std::string>& wanted,
+                             const OnFound& found) {
   ns_msg answer;
   if (ns_initparse(reinterpret_cast<const unsigned char*>(bytes.data()), static_cast<int>(bytes.size()), &answer) !=
           0 ||
@@ -116,11 +117,10 @@ std::string MdnsFinder::answered(std::string_view bytes, const std::string& from
       const unsigned char* data = ns_rr_rdata(record);
       const std::size_t size = ns_rr_rdlen(record);
       if (ns_rr_type(record) == ns_t_ptr) {
-        const auto service = std::find_if(services_.begin(), services_.end(),
-                                          [&](const std::string& wanted) { return name == small(wanted) + ".local"; });
+        const auto service = std::find_if(wanted.begin(), wanted.end(),
+                                          [&](const std::string& one) { return name == small(one) + ".local"; });
         // A service that ends says so by a time to live of none.
-        if (service != services_.end() && ns_rr_ttl(record) > 0)
-          instances.emplace_back(*service, name_at(answer, data));
+        if (service != wanted.end() && ns_rr_ttl(record) > 0) instances.emplace_back(*service, name_at(answer, data));
       } else if (ns_rr_type(record) == ns_t_srv && size > 6) {
         services[name] = {small(name_at(answer, data + 6)), static_cast<unsigned>(data[4]) << 8 | data[5]};
       } else if (ns_rr_type(record) == ns_t_txt) {

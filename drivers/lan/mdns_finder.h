@@ -9,6 +9,11 @@
 
 namespace iotcloud::drivers::lan {
 
+/// Reads an answer of mDNS from the address `from`, a stranger's, and calls `found` for each of these services
+/// (_http._tcp) that it tells of. \return why it is passed over; empty: it is not
+std::string read_mdns_answer(std::string_view answer, const std::string& from, const std::vector<std::string>& services,
+                             const OnFound& found);
+
 /// Finds services that machines announce by mDNS and DNS-SD: README.md.
 class MdnsFinder final : public LanFinder {
  public:
@@ -21,7 +26,10 @@ class MdnsFinder final : public LanFinder {
  private:
   void read_properties(PropertyReader& reader) override;
   std::vector<std::string> questions() override;
-  std::string answered(std::string_view answer, const std::string& from) override;
+  std::string answered(std::string_view answer, const std::string& from) override {
+    return read_mdns_answer(answer, from, services_,
+                            [this](const auto& key, const auto& attributes) { found(key, attributes); });
+  }
 
   std::vector<std::string> services_;
 };

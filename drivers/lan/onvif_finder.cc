@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <cstdio>
 #include <cstring>
@@ -72,12 +73,14 @@ std::vector<std::string> OnvifFinder::questions() {
       R"(<e:Body><d:Probe><d:Types>dn:NetworkVideoTransmitter</d:Types></d:Probe></e:Body></e:Envelope>)"};
 }
 
-std::string OnvifFinder::answered(std::string_view answer, const std::string& from) {
+std::string read_onvif_answer(std::string_view answer, const std::string& from, const std::vector<std::string>& asked,
+                              const OnFound& found) {
   pugi::xml_document document;
   if (!document.load_buffer(answer.data(), answer.size())) return "it is no XML";
   const auto envelope = child(document, "Envelope");
   const std::string of = text(child(child(envelope, "Header"), "RelatesTo"));
-  if (of.empty() || (of != asked_ && of != asked_before_)) return "it answers no question of this finder";
+  if (of.empty() || std::find(asked.begin(), asked.end(), of) == asked.end())
+    return "it answers no question of this finder";
   const auto matches = child(child(envelope, "Body"), "ProbeMatches");
   for (auto match = child(matches, "ProbeMatch"); match; match = match.next_sibling(match.name())) {
     std::string id = text(child(child(match, "EndpointReference"), "Address"));

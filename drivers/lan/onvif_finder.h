@@ -9,6 +9,12 @@
 
 namespace iotcloud::drivers::lan {
 
+/// Reads an answer of WS-Discovery from the address `from`, a stranger's, and calls `found` for each device in it.
+/// \param asked ids of questions; an answer to another one is passed over
+/// \return why it is passed over, or the rest of it; empty: it is not
+std::string read_onvif_answer(std::string_view answer, const std::string& from, const std::vector<std::string>& asked,
+                              const OnFound& found);
+
 /// Finds cameras and other devices of ONVIF by WS-Discovery: README.md.
 class OnvifFinder final : public LanFinder {
  public:
@@ -18,7 +24,10 @@ class OnvifFinder final : public LanFinder {
 
  private:
   std::vector<std::string> questions() override;
-  std::string answered(std::string_view answer, const std::string& from) override;
+  std::string answered(std::string_view answer, const std::string& from) override {
+    return read_onvif_answer(answer, from, {asked_, asked_before_},
+                             [this](const auto& key, const auto& attributes) { found(key, attributes); });
+  }
 
   std::string asked_, asked_before_;  ///< ids of the last two questions
 };

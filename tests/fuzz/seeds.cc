@@ -352,6 +352,7 @@ Seeds all_seeds() {
   seeds["backup"] = {{"whole", whole_backup()}, {"empty", R"({"format":1})"}, {"later", R"({"format":2})"}};
   add_control_plane_seeds(seeds);
   add_wire_seeds(seeds);
+  add_device_seeds(seeds);
   return seeds;
 }
 

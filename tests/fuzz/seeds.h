@@ -18,5 +18,7 @@ void add_control_plane_seeds(Seeds& seeds);
 /// Adds what goes between gateway, driver host and what starts it, headers of Kafka records, HTTP, tuples, signatures
 /// and audit lines.
 void add_wire_seeds(Seeds& seeds);
+/// Adds what devices announce of themselves, and answers of mDNS and WS-Discovery.
+void add_device_seeds(Seeds& seeds);
 
 }  // namespace iotcloud::fuzz

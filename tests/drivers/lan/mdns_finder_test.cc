@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/drivers/lan/mdns_finder.h>
+#include <iotcloud/tests/drivers/lan/dns_answer.h>
 #include <iotcloud/tests/drivers/lan/responder.h>
 #include <iotcloud/tests/drivers/stream/until.h>
 
@@ -15,30 +16,6 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using ::testing::IsSupersetOf;
 using testing::MockInstance;
-
-std::string number(unsigned value) {
-  return {static_cast<char>(value >> 8 & 0xff), static_cast<char>(value & 0xff)};
-}
-
-std::string name(std::vector<std::string> labels) {
-  std::string bytes;
-  for (const auto& label : labels) bytes += static_cast<char>(label.size()) + label;
-  return bytes + '\0';
-}
-
-std::string record(const std::string& of, unsigned type, const std::string& data, unsigned ttl = 120) {
-  return of + number(type) + number(1) + number(0) + number(ttl) + number(static_cast<unsigned>(data.size())) + data;
-}
-
-/// What a responder answers of a service: PTR, and in the additional section SRV, TXT and A.
-std::string answer(const std::string& instance, unsigned ttl = 120) {
-  const std::string service = name({"_http", "_tcp", "local"}), whole = name({instance, "_http", "_tcp", "local"});
-  const std::string host = name({"Camera", "local"});
-  const std::string text = "\x09path=/cam\x0aMODEL=X-10";
-  return number(0) + number(0x8400) + number(0) + number(1) + number(0) + number(3) + record(service, 12, whole, ttl) +
-         record(whole, 33, number(0) + number(0) + number(8080) + host) + record(whole, 16, text) +
-         record(host, 1, std::string("\x0a\x00\x00\x09", 4));
-}
 
 Descriptor finder_plugin() {
   return describe<MdnsFinder>("mdns_finder", "test");

@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 
 #include <iotcloud/drivers/lan/onvif_finder.h>
+#include <iotcloud/tests/drivers/lan/probe_match.h>
 #include <iotcloud/tests/drivers/lan/responder.h>
 #include <iotcloud/tests/drivers/stream/until.h>
 
@@ -16,18 +17,6 @@ using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 using testing::MockInstance;
 using ::testing::Pair;
-
-/// What a camera answers to a probe.
-std::string match(const std::string& of) {
-  return R"(<?xml version="1.0"?><SOAP-ENV:Envelope xmlns:SOAP-ENV="http://www.w3.org/2003/05/soap-envelope" xmlns:wsa="a" xmlns:wsdd="d">
-<SOAP-ENV:Header><wsa:RelatesTo>)" +
-         of + R"(</wsa:RelatesTo></SOAP-ENV:Header><SOAP-ENV:Body><wsdd:ProbeMatches><wsdd:ProbeMatch>
-<wsa:EndpointReference><wsa:Address>urn:uuid:7-8-9</wsa:Address></wsa:EndpointReference>
-<wsdd:Scopes>onvif://www.onvif.org/name/Front%20Door onvif://www.onvif.org/hardware/X10 onvif://www.onvif.org/Profile/Streaming
-onvif://www.onvif.org/location/hall http://other/</wsdd:Scopes>
-<wsdd:XAddrs>http://10.0.0.9/onvif/device_service http://[::1]/x</wsdd:XAddrs></wsdd:ProbeMatch></wsdd:ProbeMatches></SOAP-ENV:Body>
-</SOAP-ENV:Envelope>)";
-}
 
 std::string id_of(const std::string& probe) {
   const auto begin = probe.find("MessageID>") + 10;
@@ -42,7 +31,7 @@ TEST(OnvifFinder, finds_cameras_and_sees_that_they_are_gone) {
   std::atomic<bool> there{true};
   Responder camera([&](const std::string& probe) {
     EXPECT_THAT(probe, HasSubstr("NetworkVideoTransmitter"));
-    return there ? match(id_of(probe)) : "";
+    return there ? probe_match(id_of(probe)) : "";
   });
   MockInstance finder(finder_plugin(), {{"to", camera.address()}, {"period_s", "5"}});
   ASSERT_TRUE(finder.start()) << finder.error();
@@ -62,7 +51,7 @@ TEST(OnvifFinder, finds_cameras_and_sees_that_they_are_gone) {
 }
 
 TEST(OnvifFinder, passes_over_answers_to_nobodys_questions_and_what_is_no_answer) {
-  for (const std::string& bad : {match("urn:uuid:0"), match(""), std::string("<a>"), std::string("no xml"),
+  for (const std::string& bad : {probe_match("urn:uuid:0"), probe_match(""), std::string("<a>"), std::string("no xml"),
                                  std::string("<!DOCTYPE x [<!ENTITY e SYSTEM \"file:///etc/passwd\">]><x>&e;</x>")}) {
     Responder stranger([&](const std::string&) { return bad; });
     MockInstance finder(finder_plugin(), {{"to", stranger.address()}});
