@@ -11,6 +11,7 @@
 #include <iotcloud/drivers/camera/pipeline.h>
 #include <iotcloud/drivers/declaration.h>
 #include <iotcloud/drivers/driver.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 
 namespace iotcloud::drivers::camera {
@@ -62,13 +63,7 @@ class CameraDriver : public Driver {
                    .max = 1'000'000,
                    .default_value = "1000",
                    .text = "h264: of what is encoded"},
-      PropertySpec{.name = "most_bytes",
-                   .type = PropertyType::integer,
-                   .unit = "bytes",
-                   .min = 1,
-                   .max = 64 << 20,
-                   .default_value = "1048576",
-                   .text = "of a frame; a longer one is left out"},
+      stream::most_bytes_property("of a frame; a longer one is left out"),
       PropertySpec{.name = "loop",
                    .type = PropertyType::flag,
                    .default_value = "false",
@@ -92,7 +87,7 @@ class CameraDriver : public Driver {
                    .text = "a camera that sends no frame for this long is opened anew; 0: never"},
       stream::reconnect_ms,
       stream::reconnect_most_ms,
-      PropertySpec{.name = "broker", .text = "logical broker of the channel; the gateway's first"},
+      stream::broker_property,
   };
 
   std::vector<ChannelSpec> channels(const PropertyMap& properties) override;

@@ -64,7 +64,7 @@ std::string password_in(const std::string& file) {
 }  // namespace
 
 Options read_options(const PropertyMap& properties) {
-  constexpr int most_pixels = 16'384, most_bytes = 64 << 20, longest_wait = 600'000;
+  constexpr int most_pixels = 16'384, longest_wait = 600'000;
   PropertyReader reader(properties);
   Options options;
   options.source = reader.text("source", "");
@@ -75,7 +75,7 @@ Options read_options(const PropertyMap& properties) {
   options.height = static_cast<int>(reader.integer("height", 0, 0, most_pixels));
   options.quality = static_cast<int>(reader.integer("quality", 80, 1, 100));
   options.bitrate_kbps = static_cast<int>(reader.integer("bitrate_kbps", 1000, 1, 1'000'000));
-  options.most_bytes = static_cast<std::size_t>(reader.integer("most_bytes", 1 << 20, 1, most_bytes));
+  options.most_bytes = stream::read_most_bytes(reader);
   options.loop = reader.flag("loop", false);
   options.udp = reader.choice("transport", "tcp", {"tcp", "udp"}) == "udp";
   options.latency = std::chrono::milliseconds(reader.integer("latency_ms", 200, 0, 60'000));

@@ -10,6 +10,7 @@
 
 #include <iotcloud/drivers/declaration.h>
 #include <iotcloud/drivers/driver.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 
 namespace iotcloud::drivers::can {
@@ -38,7 +39,7 @@ class CanDriver : public Driver {
       PropertySpec{.name = "send_id", .text = "id, in hexadecimal, of messages on send that have no property id"},
       PropertySpec{
           .name = "fd", .type = PropertyType::flag, .default_value = "false", .text = "CAN FD: up to 64 bytes"},
-      PropertySpec{.name = "broker", .text = "logical broker of both channels; the gateway's first"},
+      stream::broker_property,
   };
 
   /// What the socket is to be.

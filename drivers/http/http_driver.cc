@@ -85,8 +85,7 @@ HttpDriver::Options HttpDriver::read_options(const PropertyMap& properties) {
   options.call_token_file = reader.text("call_token_file", "");
   options.broker = reader.text("broker", "");
   options.calls_waiting = static_cast<std::size_t>(reader.integer("calls_waiting", 100, 1, 1'000'000));
-  const auto most = static_cast<std::size_t>(reader.integer("most_bytes", 1 << 20, 1, 64 << 20));
-  options.call.most_bytes = options.server.most_bytes = most;
+  options.call.most_bytes = options.server.most_bytes = stream::read_most_bytes(reader);
   options.call.method = reader.text("call_method", "POST");
   options.call.content_type = reader.text("call_content_type", "application/json");
   options.call.ca = reader.text("ca", "");

@@ -14,6 +14,7 @@
 #include <iotcloud/drivers/declaration.h>
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/http/http_end.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 
 namespace iotcloud::drivers::http {
@@ -65,14 +66,8 @@ class HttpDriver : public Driver {
                    .max = 1'000'000,
                    .default_value = "100",
                    .text = "most that wait for the call before them; those beyond are lost"},
-      PropertySpec{.name = "most_bytes",
-                   .type = PropertyType::integer,
-                   .unit = "bytes",
-                   .min = 1,
-                   .max = 64 << 20,
-                   .default_value = "1048576",
-                   .text = "of a request that comes, and of an answer"},
-      PropertySpec{.name = "broker", .text = "logical broker of all channels; the gateway's first"},
+      stream::most_bytes_property("of a request that comes, and of an answer"),
+      stream::broker_property,
   };
 
   std::vector<ChannelSpec> channels(const PropertyMap& properties) override;

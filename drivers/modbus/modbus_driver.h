@@ -12,6 +12,7 @@
 #include <iotcloud/drivers/declaration.h>
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/modbus/register_map.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 
 struct _modbus;  // NOLINT(bugprone-reserved-identifier): libmodbus' name
@@ -64,7 +65,7 @@ class ModbusDriver : public Driver {
                    .text = "a message for each poll, or for those that differ from the last"},
       stream::reconnect_ms,
       stream::reconnect_most_ms,
-      PropertySpec{.name = "broker", .text = "logical broker of both channels; the gateway's first"},
+      stream::broker_property,
   };
 
   ~ModbusDriver() override;

@@ -55,7 +55,7 @@ bool has_zero(const std::string& text) {
 }  // namespace
 
 ClientOptions ClientOptions::read(PropertyReader& reader) {
-  constexpr int most = 64 << 20, longest_session = 4'000'000;
+  constexpr int longest_session = 4'000'000;
   ClientOptions options;
   options.url = reader.text("url", "");
   std::string address = options.url;
@@ -78,7 +78,7 @@ ClientOptions ClientOptions::read(PropertyReader& reader) {
   options.ca = reader.text("ca", "");
   options.certificate = reader.text("certificate", "");
   options.key = reader.text("key", "");
-  options.most_bytes = static_cast<std::size_t>(reader.integer("most_bytes", 1 << 20, 1, most));
+  options.most_bytes = stream::read_most_bytes(reader);
   options.pauses = stream::ReconnectPauses::read(reader);
   const bool files = !options.ca.empty() || !options.certificate.empty() || !options.key.empty();
   if (files && !options.tls)

@@ -12,6 +12,7 @@
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/property_reader.h>
 #include <iotcloud/drivers/stream/address.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 
 struct mosquitto;
@@ -60,13 +61,7 @@ inline constexpr std::array client_properties{
     PropertySpec{.name = "ca", .text = "mqtts: file of the authority; the system's"},
     PropertySpec{.name = "certificate", .text = "mqtts: file of the client's certificate; none"},
     PropertySpec{.name = "key", .text = "mqtts: file of its key"},
-    PropertySpec{.name = "most_bytes",
-                 .type = PropertyType::integer,
-                 .unit = "bytes",
-                 .min = 1,
-                 .max = 64 << 20,
-                 .default_value = "1048576",
-                 .text = "of a message; a longer one is refused"},
+    stream::most_bytes_property("of a message; a longer one is refused"),
     stream::reconnect_ms,
     stream::reconnect_most_ms,
 };

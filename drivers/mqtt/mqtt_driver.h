@@ -15,6 +15,7 @@
 #include <iotcloud/drivers/declaration.h>
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/mqtt/mqtt_client.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 
 namespace iotcloud::drivers::mqtt {
@@ -61,7 +62,7 @@ class MqttDriver : public Driver {
                    .default_value = "drop",
                    .choices = {"drop", "keep"},
                    .text = "messages on publish while the broker is away: drop them, or keep as many as unsent_bytes"},
-      PropertySpec{.name = "broker", .text = "logical broker of all channels; the gateway's first"},
+      stream::broker_property,
   });
 
   std::vector<ChannelSpec> channels(const PropertyMap& properties) override;

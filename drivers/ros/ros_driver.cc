@@ -61,7 +61,7 @@ std::vector<TopicEntry> read_topics(const std::string& property, const std::stri
 }
 
 RosDriver::Options RosDriver::read_options(const PropertyMap& properties) {
-  constexpr int most = 64 << 20, longest_queue = 100'000;
+  constexpr int longest_queue = 100'000;
   PropertyReader reader(properties);
   Options options;
   const std::string master = reader.text("ros_master", "");
@@ -71,7 +71,7 @@ RosDriver::Options RosDriver::read_options(const PropertyMap& properties) {
   options.raw = reader.choice("format", "json", {"json", "raw"}) == "raw";
   const std::vector<std::string> folders = message_folders(reader.text("msg_path", ""));
   options.latch = reader.flag("latch", false);
-  options.most_bytes = static_cast<std::size_t>(reader.integer("most_bytes", 1 << 20, 1, most));
+  options.most_bytes = stream::read_most_bytes(reader);
   options.queue = static_cast<std::uint32_t>(reader.integer("queue", 100, 1, longest_queue));
   options.broker = reader.text("broker", "");
   if (options.subscribe.empty() && options.publish.empty())

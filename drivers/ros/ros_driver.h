@@ -16,6 +16,7 @@
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/ros/message_type.h>
 #include <iotcloud/drivers/ros/node.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 
 namespace iotcloud::drivers::ros {
@@ -50,13 +51,7 @@ class RosDriver : public Driver {
                    .type = PropertyType::flag,
                    .default_value = "false",
                    .text = "whoever subscribes later gets the last message that was published, too"},
-      PropertySpec{.name = "most_bytes",
-                   .type = PropertyType::integer,
-                   .unit = "bytes",
-                   .min = 1,
-                   .max = 64 << 20,
-                   .default_value = "1048576",
-                   .text = "of a message, both ways; a longer one is left out"},
+      stream::most_bytes_property("of a message, both ways; a longer one is left out"),
       PropertySpec{.name = "queue",
                    .type = PropertyType::integer,
                    .unit = "messages",
@@ -64,7 +59,7 @@ class RosDriver : public Driver {
                    .max = 100'000,
                    .default_value = "100",
                    .text = "of a topic that wait while the channel is full; the oldest of more are lost"},
-      PropertySpec{.name = "broker", .text = "logical broker of all channels; the gateway's first"},
+      stream::broker_property,
   };
 
   std::vector<ChannelSpec> channels(const PropertyMap& properties) override;

@@ -12,6 +12,7 @@
 
 #include <iotcloud/drivers/declaration.h>
 #include <iotcloud/drivers/driver.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 #include <iotcloud/drivers/stream/frame_link.h>
 #include <iotcloud/drivers/stream/framing.h>
@@ -20,9 +21,7 @@ namespace iotcloud::drivers::stream {
 
 /// The properties that all drivers of frames have. \param framing the default of `framing`
 constexpr auto stream_properties(std::string_view framing) {
-  return joined(
-      std::array{PropertySpec{.name = "broker", .text = "logical broker of both channels; the gateway's first"}},
-      framing_properties(framing));
+  return joined(std::array{stream::broker_property}, framing_properties(framing));
 }
 
 /// Those of a driver that looks for its device again when it is away.

@@ -11,6 +11,7 @@
 #include <iotcloud/drivers/driver.h>
 #include <iotcloud/drivers/mqtt/mqtt_client.h>
 #include <iotcloud/drivers/mqtt/sparkplug/sparkplug.h>
+#include <iotcloud/drivers/stream/common_properties.h>
 #include <iotcloud/drivers/stream/device_state.h>
 
 namespace iotcloud::drivers::mqtt::sparkplug {
@@ -26,7 +27,7 @@ class SparkplugDriver : public Driver {
       PropertySpec{.name = "group", .required = true, .text = "Sparkplug's group"},
       PropertySpec{.name = "node", .required = true, .text = "edge node"},
       PropertySpec{.name = "device", .text = "one of its devices; the node itself"},
-      PropertySpec{.name = "broker", .text = "logical broker of all channels; the gateway's first"},
+      stream::broker_property,
   });
 
   std::vector<ChannelSpec> channels(const PropertyMap& properties) override;

@@ -16,6 +16,7 @@
 #include <unistd.h>
 
 #include <iotcloud/drivers/modbus/modbus_driver.h>
+#include <iotcloud/tests/drivers/stream/line.h>
 #include <iotcloud/tests/drivers/stream/until.h>
 #include <iotcloud/tests/files.h>
 #include <iotcloud/tests/servers/free_port.h>
@@ -280,25 +281,22 @@ TEST(Modbus, polls_no_further_while_its_channel_is_full_and_reports_changes_only
 }
 
 TEST(Modbus, speaks_with_a_device_on_a_line_despite_of_noise) {
-  const int line = posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC);
-  ASSERT_TRUE(grantpt(line) == 0 && unlockpt(line) == 0);
-  const std::string path = ptsname(line);
-  const int keeps_it_open = open(path.c_str(), O_RDWR | O_NOCTTY | O_CLOEXEC);
+  const Line line;
+  const int keeps_it_open = open(line.path().c_str(), O_RDWR | O_NOCTTY | O_CLOEXEC);
   Device device;
   device.set(1, 42);
-  device.serve_line(line);
+  device.serve_line(line.descriptor());
   MockInstance meter(
       modbus_plugin(),
-      {{"device", path}, {"unit", "7"}, {"registers", "[{name: a, address: 1}]"}, {"timeout_ms", "300"}});
+      {{"device", line.path()}, {"unit", "7"}, {"registers", "[{name: a, address: 1}]"}, {"timeout_ms", "300"}});
   ASSERT_TRUE(meter.start()) << meter.error();
   EXPECT_EQ(meter.host().metadata()["connection"], "connected");
-  EXPECT_EQ(::write(line, "\x07\x03\x02\x00\x00\x01\x02", 7), 7);  // an answer with a wrong checksum
+  line.write(std::string("\x07\x03\x02\x00\x00\x01\x02", 7));  // an answer with a wrong checksum
   meter.host().advance(1s);
   EXPECT_EQ(last_reading(meter), json({{"a", 42}}));
   meter.close();
   device.vanish();
   ::close(keeps_it_open);
-  ::close(line);
 }
 
 TEST(Modbus, says_what_is_wrong_in_its_map_and_properties) {

@@ -53,7 +53,7 @@ class Device {
     mosquitto_property* properties = nullptr;
     if (!property.empty())
       mosquitto_property_add_string_pair(&properties, MQTT_PROP_USER_PROPERTY, "unit", property.c_str());
-    mosquitto_publish_v5(client_, nullptr, to.c_str(), static_cast<int>(text.size()), text.data(), 1, retain,
+    mosquitto_publish_v5(client_, nullptr, to.c_str(), static_cast<int>(text.size()), text.data(), 2, retain,
                          properties);
     mosquitto_property_free_all(&properties);
     EXPECT_TRUE(tests::eventually([&] { return sent_ > before; }));
@@ -63,11 +63,14 @@ class Device {
     const std::lock_guard lock(mutex_);
     return received_;
   }
+  /// Quality of service of the last one.
+  int last_qos() const { return last_qos_; }
 
  private:
   void receive(const mosquitto_message& message, const mosquitto_property* properties) {
     char* value = nullptr;
     mosquitto_property_read_string_pair(properties, MQTT_PROP_USER_PROPERTY, nullptr, &value, false);
+    last_qos_ = message.qos;
     const std::lock_guard lock(mutex_);
     received_.push_back(
         message.topic +
@@ -79,7 +82,7 @@ class Device {
   const std::string filter_;
   mosquitto* client_;
   std::atomic<bool> ready_{false};
-  std::atomic<int> sent_{0};
+  std::atomic<int> sent_{0}, last_qos_{-1};
   std::mutex mutex_;
   std::vector<std::string> received_;
 };

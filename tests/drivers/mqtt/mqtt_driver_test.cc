@@ -2,11 +2,13 @@
 #include <chrono>
 #include <memory>
 #include <string>
+#include <tuple>
 #include <vector>
 
 #include <gmock/gmock.h>
 
 #include <iotcloud/drivers/mqtt/mqtt_driver.h>
+#include <iotcloud/tests/drivers/mqtt/connected.h>
 #include <iotcloud/tests/drivers/mqtt/device.h>
 #include <iotcloud/tests/drivers/stream/until.h>
 #include <iotcloud/tests/files.h>
@@ -25,31 +27,11 @@ Descriptor mqtt_plugin() {
   return describe<MqttDriver>("mqtt", "test", true);
 }
 
-/// The broker that all tests share; each has topics of its own.
-tests::PrivateServer& broker() {
-  static tests::PrivateServer server("mosquitto.py");
-  return server;
-}
-
-std::string topic() {
-  return ::testing::UnitTest::GetInstance()->current_test_info()->name();
-}
-
-/// A device at that broker.
+/// A device at the shared broker.
 class Device : public mqtt::Device {
  public:
-  explicit Device(const std::string& filter = {}) : mqtt::Device(broker().url(), filter) {}
+  explicit Device(const std::string& filter = {}) : mqtt::Device(shared_broker().url(), filter) {}
 };
-
-/// An instance that is connected.
-std::unique_ptr<MockInstance> connected(PropertyMap properties) {
-  properties.try_emplace("url", broker().url());
-  properties.try_emplace("client_id", topic());  // a session of its own
-  auto instance = std::make_unique<MockInstance>(mqtt_plugin(), std::move(properties));
-  EXPECT_TRUE(instance->start()) << instance->error();
-  EXPECT_TRUE(until_metadata(*instance, "connection", "connected"));
-  return instance;
-}
 
 /// Waits until the broker has the subscriptions: a retained message comes by one of them.
 void until_subscribed(MockInstance& instance, Device& device, const std::string& channel, const std::string& to) {
@@ -58,16 +40,18 @@ void until_subscribed(MockInstance& instance, Device& device, const std::string&
   instance.host().forget_published();
 }
 
-class MqttVersions : public ::testing::TestWithParam<const char*> {};
+/// Of the protocol, and of the quality of service both ways.
+class MqttVersions : public ::testing::TestWithParam<std::tuple<const char*, int>> {};
 
 TEST_P(MqttVersions, make_channels_of_topics_and_publish_commands) {
-  const std::string base = "versions" + std::string(GetParam());
+  const auto& [version, qos] = GetParam();
+  const std::string base = "versions" + std::string(version) + std::to_string(qos);
   Device device(base + "/commands/#");
-  const auto hub = connected({{"version", GetParam()},
-                              {"qos", "2"},
-                              {"publish_qos", "2"},
-                              {"publish_topic", base + "/commands/all"},
-                              {"subscribe", base + "/+/temperature=temperature, " + base + "/state"}});
+  const auto hub = connected<MqttDriver>({{"version", version},
+                                          {"qos", std::to_string(qos)},
+                                          {"publish_qos", std::to_string(qos)},
+                                          {"publish_topic", base + "/commands/all"},
+                                          {"subscribe", base + "/+/temperature=temperature, " + base + "/state"}});
   until_subscribed(*hub, device, "messages", base + "/state");
   device.publish(base + "/kitchen/temperature", "21.5", false, "C");
   device.publish(base + "/state", "on");
@@ -79,7 +63,7 @@ TEST_P(MqttVersions, make_channels_of_topics_and_publish_commands) {
   EXPECT_THAT(texts(*hub, "messages"), ElementsAre("on"));
   const auto first = hub->host().published("temperature")[0].message;
   EXPECT_EQ(*first.properties.find("topic"), base + "/kitchen/temperature");
-  const bool five = std::string(GetParam()) == "5";
+  const bool five = std::string(version) == "5";
   ASSERT_EQ(first.properties.find("unit") != nullptr, five);
   EXPECT_TRUE(!five || *first.properties.find("unit") == "C");
   Message heat = command("heat");
@@ -90,28 +74,31 @@ TEST_P(MqttVersions, make_channels_of_topics_and_publish_commands) {
   ASSERT_TRUE(until(*hub, [&] { return device.received().size() == 2; }));
   EXPECT_THAT(device.received(),
               ElementsAre(base + "/commands/kitchen heat" + (five ? " topology" : ""), base + "/commands/all stop"));
+  EXPECT_EQ(device.last_qos(), qos);
   device.publish(base + "/state", "", true);
 }
 
-INSTANTIATE_TEST_SUITE_P(All, MqttVersions, ::testing::Values("3.1.1", "5"),
-                         [](const auto& version) { return std::string(version.param) == "5" ? "five" : "three"; });
+INSTANTIATE_TEST_SUITE_P(All, MqttVersions,
+                         ::testing::Combine(::testing::Values("3.1.1", "5"), ::testing::Values(0, 1, 2)),
+                         [](const auto& of) {
+                           const bool five = std::string(std::get<0>(of.param)) == "5";
+                           return (five ? "five_qos_" : "three_qos_") + std::to_string(std::get<1>(of.param));
+                         });
 
 TEST(Mqtt, gets_what_came_while_the_driver_was_away_and_sends_what_waited) {
-  Device device(topic() + "/orders");
-  const auto hub = connected({{"subscribe", topic() + "/readings"},
-                              {"version", "5"},
-                              {"while_away", "keep"},
-                              {"reconnect_ms", "10"},
-                              {"reconnect_most_ms", "10"},
-                              {"publish_topic", topic() + "/orders"}});
-  until_subscribed(*hub, device, "messages", topic() + "/readings");
-  broker().kill();
+  Device device(test_name() + "/orders");
+  const auto hub = connected<MqttDriver>({{"subscribe", test_name() + "/readings"},
+                                          {"version", "5"},
+                                          {"while_away", "keep"},
+                                          {"publish_topic", test_name() + "/orders"}});
+  until_subscribed(*hub, device, "messages", test_name() + "/readings");
+  shared_broker().kill();
   ASSERT_TRUE(until_metadata(*hub, "connection", "away"));
   ASSERT_TRUE(hub->deliver("publish", command("kept")));
-  broker().start();
+  shared_broker().start();
   // The device connects sooner than the driver.
   ASSERT_TRUE(tests::eventually([&] {
-    device.publish(topic() + "/readings", "late");
+    device.publish(test_name() + "/readings", "late");
     return true;
   }));
   hub->host().advance(20ms);
@@ -120,18 +107,19 @@ TEST(Mqtt, gets_what_came_while_the_driver_was_away_and_sends_what_waited) {
     return hub->host().metadata()["connection"] == "connected";
   }));
   ASSERT_TRUE(until(*hub, [&] { return ::testing::Matches(Contains("late"))(texts(*hub, "messages")); }));
-  ASSERT_TRUE(until(*hub, [&] { return ::testing::Matches(Contains(topic() + "/orders kept"))(device.received()); }));
-  device.publish(topic() + "/readings", "", true);
+  ASSERT_TRUE(
+      until(*hub, [&] { return ::testing::Matches(Contains(test_name() + "/orders kept"))(device.received()); }));
+  device.publish(test_name() + "/readings", "", true);
 }
 
 TEST(Mqtt, reads_no_further_while_a_channel_is_full_and_goes_on_sending) {
-  Device device(topic() + "/orders");
-  const auto hub = connected(
-      {{"subscribe", topic() + "/readings, " + topic() + "/other=other"}, {"publish_topic", topic() + "/orders"}});
-  until_subscribed(*hub, device, "messages", topic() + "/readings");
+  Device device(test_name() + "/orders");
+  const auto hub = connected<MqttDriver>({{"subscribe", test_name() + "/readings, " + test_name() + "/other=other"},
+                                          {"publish_topic", test_name() + "/orders"}});
+  until_subscribed(*hub, device, "messages", test_name() + "/readings");
   hub->host().answer_publish("messages", PublishStatus::would_block);
-  for (int i = 0; i < 50; ++i) device.publish(topic() + "/readings", std::to_string(i));
-  device.publish(topic() + "/other", "behind them");
+  for (int i = 0; i < 50; ++i) device.publish(test_name() + "/readings", std::to_string(i));
+  device.publish(test_name() + "/other", "behind them");
   ASSERT_TRUE(hub->deliver("publish", command("still")));
   ASSERT_TRUE(until(*hub, [&] { return device.received().size() == 1; }));
   EXPECT_EQ(hub->host().poll_descriptors(20ms), 0U);  // the rest is the broker's
@@ -143,15 +131,16 @@ TEST(Mqtt, reads_no_further_while_a_channel_is_full_and_goes_on_sending) {
   ASSERT_TRUE(until_published(*hub, "other", 1));
   const auto all = texts(*hub, "messages");
   for (int i = 0; i < 50; ++i) EXPECT_EQ(all[static_cast<std::size_t>(i)], std::to_string(i));
-  device.publish(topic() + "/readings", "", true);
+  device.publish(test_name() + "/readings", "", true);
 }
 
 TEST(Mqtt, loses_no_message_that_it_cannot_send_without_saying_so) {
-  Device device(topic() + "/#");
-  const auto hub = connected({{"most_bytes", "10"}, {"unsent_bytes", "100"}, {"subscribe", topic() + "/readings"}});
-  until_subscribed(*hub, device, "messages", topic() + "/readings");
-  device.publish(topic() + "/readings", "longer than ten");
-  device.publish(topic() + "/readings", "short");
+  Device device(test_name() + "/#");
+  const auto hub =
+      connected<MqttDriver>({{"most_bytes", "10"}, {"unsent_bytes", "100"}, {"subscribe", test_name() + "/readings"}});
+  until_subscribed(*hub, device, "messages", test_name() + "/readings");
+  device.publish(test_name() + "/readings", "longer than ten");
+  device.publish(test_name() + "/readings", "short");
   ASSERT_TRUE(until_published(*hub, "messages", 1));
   EXPECT_THAT(texts(*hub, "messages"), ElementsAre("short"));
   EXPECT_EQ(hub->host().logged_count("is longer than most_bytes"), 1U);
@@ -159,27 +148,28 @@ TEST(Mqtt, loses_no_message_that_it_cannot_send_without_saying_so) {
   EXPECT_EQ(hub->host().logged_count("nobody knows its topic"), 1U);
   const auto retained = [&](const std::string& text) {
     Message message = command(text);
-    message.properties.set("topic", topic() + "/kept");
+    message.properties.set("topic", test_name() + "/kept");
     message.properties.set("retain", "true");
     return message;
   };
   ASSERT_TRUE(hub->deliver("publish", retained("state")));
-  ASSERT_TRUE(until(*hub, [&] { return ::testing::Matches(Contains(topic() + "/kept state"))(device.received()); }));
-  Device later(topic() + "/kept");
+  ASSERT_TRUE(
+      until(*hub, [&] { return ::testing::Matches(Contains(test_name() + "/kept state"))(device.received()); }));
+  Device later(test_name() + "/kept");
   EXPECT_TRUE(tests::eventually([&] { return later.received().size() == 1; }));
   ASSERT_TRUE(hub->deliver("publish", retained("")));
-  device.publish(topic() + "/readings", "", true);
+  device.publish(test_name() + "/readings", "", true);
 }
 
 TEST(Mqtt, says_that_a_broker_hangs) {
-  broker().pause();
-  MockInstance other(mqtt_plugin(), {{"url", broker().url()}});
+  shared_broker().pause();
+  MockInstance other(mqtt_plugin(), {{"url", shared_broker().url()}});
   ASSERT_TRUE(other.start()) << other.error();
   // The kernel answers for the broker, which does not.
   ASSERT_GT(other.host().poll_descriptors(60s), 0U);
   other.host().advance(11s);
   EXPECT_THAT(other.host().metadata()["connection_problem"], HasSubstr("does not answer"));
-  broker().resume();
+  shared_broker().resume();
 }
 
 TEST(Mqtt, has_tls_certificates_and_a_password) {
@@ -194,7 +184,7 @@ TEST(Mqtt, has_tls_certificates_and_a_password) {
       {"password_file", tests::write_file(file("password"), std::string(tests::server_password) + "\n")},
       {"subscribe", "loop"},
       {"publish_topic", "loop"}};
-  const auto hub = connected(properties);
+  const auto hub = connected<MqttDriver>(properties);
   ASSERT_TRUE(until(*hub, [&] {
     EXPECT_TRUE(hub->deliver("publish", command("secret")));
     return !hub->host().published("messages").empty();

@@ -9,6 +9,7 @@
 #include <iotcloud/drivers/mqtt/finder/mqtt_finder.h>
 #include <iotcloud/drivers/mqtt/mqtt_driver.h>
 #include <iotcloud/drivers/mqtt/sparkplug/sparkplug_driver.h>
+#include <iotcloud/tests/drivers/mqtt/connected.h>
 #include <iotcloud/tests/drivers/mqtt/device.h>
 #include <iotcloud/tests/drivers/stream/until.h>
 #include <iotcloud/tests/servers/private_server.h>
@@ -22,28 +23,6 @@ using ::testing::HasSubstr;
 using ::testing::Key;
 using testing::MockInstance;
 
-/// The broker that all tests share; each has topics of its own.
-tests::PrivateServer& shared_broker() {
-  static tests::PrivateServer server("mosquitto.py");
-  return server;
-}
-
-std::string test_name() {
-  return ::testing::UnitTest::GetInstance()->current_test_info()->name();
-}
-
-template <typename Made>
-std::unique_ptr<MockInstance> connected_one(PropertyMap properties) {
-  properties.try_emplace("url", shared_broker().url());
-  properties.try_emplace("client_id", test_name());  // a session of its own
-  properties.try_emplace("reconnect_ms", "10");
-  properties.try_emplace("reconnect_most_ms", "10");
-  auto instance = std::make_unique<MockInstance>(describe<Made>("made", "test", true), std::move(properties));
-  EXPECT_TRUE(instance->start()) << instance->error();
-  EXPECT_TRUE(until_metadata(*instance, "connection", "connected"));
-  return instance;
-}
-
 bool until_found(MockInstance& finder, const std::string& key) {
   return until(finder, [&] { return finder.host().found().contains(key); });
 }
@@ -56,7 +35,7 @@ TEST(MqttFinder, finds_devices_that_announce_themselves_and_sees_that_they_go) {
   Device device(shared_broker().url());
   device.publish("ha1/sensor/kitchen/config", R"({"stat_t":"k/t","dev":{"ids":["k1"],"mdl":"TH"}})", true);
   device.publish("hello/meter", R"({"id":"meter","port":1502})", true);
-  const auto finder = connected_one<MqttFinder>(
+  const auto finder = connected<MqttFinder>(
       {{"find", "homeassistant, announcements"}, {"homeassistant_prefix", "ha1"}, {"announcements", "hello/+"}});
   EXPECT_TRUE(finder->host().sees());
   ASSERT_TRUE(until_found(*finder, "homeassistant k1"));
@@ -74,7 +53,7 @@ TEST(MqttFinder, does_not_see_while_the_broker_is_away_and_finds_all_again_after
   auto device = std::make_unique<Device>(broker.url());
   device->publish("homeassistant/sensor/stays/config", R"({"stat_t":"a","uniq_id":"stays"})", true);
   device->publish("homeassistant/sensor/goes/config", R"({"stat_t":"b","uniq_id":"goes"})", true);
-  const auto finder = connected_one<MqttFinder>({{"find", "homeassistant"}, {"url", broker.url()}});
+  const auto finder = connected<MqttFinder>({{"find", "homeassistant"}, {"url", broker.url()}});
   ASSERT_TRUE(until_found(*finder, "homeassistant stays"));
   ASSERT_TRUE(until_found(*finder, "homeassistant goes"));
   device.reset();
@@ -107,7 +86,7 @@ TEST(MqttFinder, refuses_what_it_cannot_find) {
 
 TEST(MqttFinder, asks_nodes_of_sparkplug_for_births_and_finds_their_devices) {
   tests::PrivateServer node("edge_node.py", {shared_broker().url(), "plant", "edge1"});
-  const auto finder = connected_one<MqttFinder>({{"find", "sparkplug"}});
+  const auto finder = connected<MqttFinder>({{"find", "sparkplug"}});
   ASSERT_TRUE(until(*finder, [&] {
     node.command("data 1", "OK");  // nobody has heard its birth certificates
     return finder->host().found().contains("sparkplug plant/edge1");
@@ -129,7 +108,7 @@ TEST(MqttFinder, asks_nodes_of_sparkplug_for_births_and_finds_their_devices) {
 TEST(Sparkplug, devices_tell_their_metrics_by_name_and_take_commands) {
   tests::PrivateServer node("edge_node.py", {shared_broker().url(), "plant", "edge2"});
   const auto sensor =
-      connected_one<sparkplug::SparkplugDriver>({{"group", "plant"}, {"node", "edge2"}, {"device", "sensor"}});
+      connected<sparkplug::SparkplugDriver>({{"group", "plant"}, {"node", "edge2"}, {"device", "sensor"}});
   ASSERT_TRUE(until_metadata(*sensor, "alive", "true")) << "it asked for the birth certificate";
   node.command("data 22.5", "OK");
   const auto told = [&](const std::string& part) {
@@ -154,7 +133,7 @@ TEST(Sparkplug, devices_tell_their_metrics_by_name_and_take_commands) {
 
 TEST(Sparkplug, nodes_are_asked_for_births_when_a_number_is_missing_and_die_by_their_last_will) {
   tests::PrivateServer node("edge_node.py", {shared_broker().url(), "plant", "edge3"});
-  const auto edge = connected_one<sparkplug::SparkplugDriver>({{"group", "plant"}, {"node", "edge3"}});
+  const auto edge = connected<sparkplug::SparkplugDriver>({{"group", "plant"}, {"node", "edge3"}});
   ASSERT_TRUE(until_metadata(*edge, "alive", "true"));
   edge->host().advance(10s);  // it may ask again
   const auto births = [&] {
@@ -176,11 +155,11 @@ TEST(Sparkplug, nodes_are_asked_for_births_when_a_number_is_missing_and_die_by_t
 
 TEST(Mqtt, sends_to_names_and_says_whether_the_device_is_there) {
   Device device(shared_broker().url(), "lamp/set");
-  const auto lamp = connected_one<MqttDriver>({{"subscribe", "lamp/state"},
-                                               {"publish_to", "lamp/set=lamp"},
-                                               {"availability", "lamp/lwt"},
-                                               {"available", "up"},
-                                               {"not_available", "down"}});
+  const auto lamp = connected<MqttDriver>({{"subscribe", "lamp/state"},
+                                           {"publish_to", "lamp/set=lamp"},
+                                           {"availability", "lamp/lwt"},
+                                           {"available", "up"},
+                                           {"not_available", "down"}});
   device.publish("lamp/lwt", "up", true);
   ASSERT_TRUE(until_metadata(*lamp, "available", "true"));
   device.publish("lamp/lwt", "down", true);

@@ -1,15 +1,12 @@
 #include <chrono>
-#include <cstdlib>
 #include <filesystem>
 #include <string>
 
-#include <fcntl.h>
 #include <gmock/gmock.h>
-#include <poll.h>
 #include <termios.h>
-#include <unistd.h>
 
 #include <iotcloud/drivers/serial/serial_driver.h>
+#include <iotcloud/tests/drivers/stream/line.h>
 #include <iotcloud/tests/drivers/stream/until.h>
 #include <iotcloud/tests/temporary_folder.h>
 
@@ -19,47 +16,6 @@ namespace {
 using namespace std::chrono_literals;
 using ::testing::ElementsAre;
 using ::testing::HasSubstr;
-
-/// A serial line whose other end is a terminal of the kernel: the device is the test.
-class Line {
- public:
-  Line() : device_(posix_openpt(O_RDWR | O_NOCTTY | O_CLOEXEC)) {
-    EXPECT_EQ(grantpt(device_), 0);
-    EXPECT_EQ(unlockpt(device_), 0);
-  }
-  ~Line() { unplug(); }
-  Line(const Line&) = delete;
-  Line& operator=(const Line&) = delete;
-
-  std::string path() const { return ptsname(device_); }
-  void write(const std::string& bytes) const {
-    EXPECT_EQ(::write(device_, bytes.data(), bytes.size()), static_cast<ssize_t>(bytes.size()));
-  }
-  /// What the driver has sent, and comes within patience.
-  std::string read(std::size_t size) const {
-    std::string bytes;
-    pollfd waiting{device_, POLLIN, 0};
-    while (bytes.size() < size && poll(&waiting, 1, 60'000) == 1) {
-      char buffer[256];
-      const ssize_t count = ::read(device_, buffer, sizeof buffer);
-      if (count <= 0) break;
-      bytes.append(buffer, static_cast<std::size_t>(count));
-    }
-    return bytes;
-  }
-  termios settings() const {
-    termios line{};
-    EXPECT_EQ(tcgetattr(device_, &line), 0);
-    return line;
-  }
-  void unplug() {
-    if (device_ >= 0) ::close(device_);
-    device_ = -1;
-  }
-
- private:
-  int device_;
-};
 
 Descriptor serial() {
   return describe<SerialDriver>("serial", "test");
@@ -83,6 +39,39 @@ TEST(Serial, carries_frames_both_ways_on_a_line_as_it_was_set) {
   ASSERT_TRUE(scale.deliver("send", command("tare")));
   EXPECT_EQ(line.read(6), "tare\r\n");
 }
+
+struct FramingCase {
+  const char* name;
+  PropertyMap properties;
+  std::string frame;  ///< of "a\0b" as it is on the line
+};
+
+class SerialFramings : public ::testing::TestWithParam<FramingCase> {};
+
+TEST_P(SerialFramings, carry_bytes_of_any_value_both_ways) {
+  const auto& [name, properties, frame] = GetParam();
+  Line line;
+  PropertyMap all = properties;
+  all["device"] = line.path();
+  testing::MockInstance scale(serial(), all);
+  ASSERT_TRUE(scale.start()) << scale.error();
+  const std::string bytes("a\0b", 3);
+  line.write(frame.substr(0, 2));
+  ASSERT_GT(scale.host().poll_descriptors(60s), 0U);
+  line.write(frame.substr(2) + frame);
+  ASSERT_TRUE(until_published(scale, "received", 2));
+  EXPECT_THAT(texts(scale, "received"), ElementsAre(bytes, bytes));
+  ASSERT_TRUE(scale.deliver("send", command(bytes)));
+  EXPECT_EQ(line.read(frame.size()), frame);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Of, SerialFramings,
+    ::testing::Values(FramingCase{"delimiter", {{"framing", "delimiter"}, {"delimiter", ";"}}, std::string("a\0b;", 4)},
+                      FramingCase{"length", {{"framing", "length"}, {"length_bytes", "2"}}, std::string("\0\3a\0b", 5)},
+                      FramingCase{"cobs", {{"framing", "cobs"}}, std::string("\2a\2b\0", 5)},
+                      FramingCase{"slip", {{"framing", "slip"}}, std::string("\300a\0b\300", 5)}),
+    [](const auto& of) { return std::string(of.param.name); });
 
 TEST(Serial, finds_a_device_again_that_was_unplugged) {
   tests::TemporaryFolder folder;
