@@ -41,9 +41,9 @@ class Recordings(PrivateCluster):
         users.write_text(shipped.rabbitmq_users(dict.fromkeys(shipped.RABBITMQ_USERS, PASSWORD)))
         password.write_text(PASSWORD + "\n")
         self.rabbitmq = self.server("rabbitmq", "--users", users)
-        own = f'type: rabbitmq, urls: ["{self.rabbitmq}"], password_file: "{password}"'
+        own = f'urls: ["{self.rabbitmq}"], password_file: "{password}"'
         of_gateway = f'exchange: {shipped.GATEWAYS_EXCHANGE}, reader: gateway-1-reads, reader_password_file: "{password}"'
-        self.start(gateways=1, brokers=[f"rabbitmq: {{{own}, user: gateway-1, properties: {{{of_gateway}}}}}"])
+        self.start(gateways=1, brokers=[f"rabbitmq: {{type: rabbitmq, {own}, user: gateway-1, properties: {{{of_gateway}}}}}"])
         self.config = self.out / "recorder.yaml"
         self.config.write_text(f"brokers: {{rabbitmq: {{{own}, user: workers}}}}\n")
         self.wait_until_ready()
