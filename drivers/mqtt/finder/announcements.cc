@@ -147,8 +147,10 @@ std::string with_base(std::string topic, const std::string& base) {
 /// Whether a list of topics of the driver mqtt can hold it.
 bool is_listable(const std::string& topic) {
   constexpr std::size_t longest = 1024;
-  return !topic.empty() && topic.size() <= longest && topic.front() != '$' && topic.front() != ' ' &&
-         topic.back() != ' ' && std::none_of(topic.begin(), topic.end(), [](char c) {
+  constexpr std::ptrdiff_t most_levels = 200;  // libmosquitto takes no topic of more
+  const auto slashes = std::count(topic.begin(), topic.end(), '/');
+  return !topic.empty() && topic.size() <= longest && slashes < most_levels && topic.front() != '$' &&
+         topic.front() != ' ' && topic.back() != ' ' && std::none_of(topic.begin(), topic.end(), [](char c) {
            return static_cast<unsigned char>(c) < 0x20 ||
                   std::string_view("#+,=\x7f").find(c) != std::string_view::npos;
          });
@@ -173,7 +175,7 @@ std::string name_of_key(std::string_view key) {
   for (const std::string_view end : {"_state_topic", "_command_topic", "_topic"}) {
     if (!key.ends_with(end)) continue;
     const auto word = key.substr(0, key.size() - end.size());
-    return word.empty() || word == "state" || word == "command" ? "" : "." + std::string(word);
+    return word.empty() || word == "state" || word == "command" ? "" : "." + channel_name(word);
   }
   return "";
 }

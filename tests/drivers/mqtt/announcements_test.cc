@@ -113,6 +113,11 @@ TEST_F(AnnouncementsTest, move_to_another_device) {
   EXPECT_EQ(only().at("id"), "b");
 }
 
+TEST_F(AnnouncementsTest, have_keys_that_give_no_more_than_a_name) {
+  house_.take("homeassistant/light/l/config", R"({"uniq_id":"l","a=b, #=c/d_stat_t":"home/l"})");
+  EXPECT_EQ(only().at("subscribe"), "home/l=l.a_b____c_d");
+}
+
 TEST_F(AnnouncementsTest, of_strangers_cannot_bring_in_other_topics) {
   house_.take(
       "homeassistant/sensor/s/config",
