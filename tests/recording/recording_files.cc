@@ -8,6 +8,7 @@
 #include <cstring>
 #include <exception>
 #include <map>
+#include <set>
 #include <string>
 #include <utility>
 #include <vector>
@@ -60,14 +61,21 @@ nlohmann::json read(const std::string& file, bool strict) {
 
 using Channels = std::map<std::string, std::vector<RecordedMessage>>;
 
-/// The messages of each channel, in their order.
-Channels channels_of(const std::string& file) {
+/// The messages of each channel, in their order. One that a broker handed over again counts once.
+/// \param twice is raised by the number of these
+Channels channels_of(const std::string& file, std::size_t& twice) {
   RecordingReader reader(file);
   reader.check();
   Channels channels;
+  std::map<std::string, std::set<std::string>> seen;
   while (auto message = reader.next()) {
     const auto& channel = reader.channels().at(message->channel);
-    channels[channel.instance + ' ' + channel.name].push_back(std::move(*message));
+    const std::string name = channel.instance + ' ' + channel.name;
+    if (seen[name].emplace(message->message.payload.text()).second) {
+      channels[name].push_back(std::move(*message));
+    } else {
+      ++twice;
+    }
   }
   return channels;
 }
@@ -76,7 +84,8 @@ Channels channels_of(const std::string& file) {
 /// their place or with other bytes, properties or times; and by how much the spacing of arrivals, times the speed, is
 /// another one than the recorded one, in milliseconds: for each message, from the first of its file.
 nlohmann::json compare(const std::string& file, const std::string& played, double speed) {
-  const Channels was = channels_of(file), is = channels_of(played);
+  std::size_t twice = 0;
+  const Channels was = channels_of(file, twice), is = channels_of(played, twice);
   const auto begin = [](const Channels& channels) {
     Instant first = Instant::max();
     for (const auto& [name, messages] : channels) first = std::min(first, messages.front().at);
@@ -107,8 +116,13 @@ nlohmann::json compare(const std::string& file, const std::string& played, doubl
   const auto quantile = [&](double share) {
     return off_ms.empty() ? 0 : off_ms[static_cast<std::size_t>(share * static_cast<double>(off_ms.size() - 1))];
   };
-  return {{"channels", was.size()},   {"messages", off_ms.size()},   {"bytes", bytes},
-          {"different", different},   {"off_p50_ms", quantile(0.5)}, {"off_p99_ms", quantile(0.99)},
+  return {{"channels", was.size()},
+          {"messages", off_ms.size()},
+          {"bytes", bytes},
+          {"twice", twice},
+          {"different", different},
+          {"off_p50_ms", quantile(0.5)},
+          {"off_p99_ms", quantile(0.99)},
           {"off_max_ms", quantile(1)}};
 }
 

@@ -166,6 +166,16 @@ def check_long(system, given):
     each = round(given.rate * 60 * given.minutes)
     seconds = 60 * given.minutes
 
+    def wait_for_messages(what, file, least):
+        """Until so many are in the file, and nothing comes any more: a broker may hand some over again."""
+        before = [-1]
+
+        def is_whole():
+            before.append(system.info(file)["messages"])
+            return before[-1] >= least and before[-1] == before[-2]
+
+        wait_for(what, is_whole, 600)
+
     recorder = system.record("long.mcap", "--where", 'driver == "loadgen"')
     began = time.monotonic()
     answer = system.answer("deploy", "loadgen.so", "--gateway", "gateway-1", "--count", given.channels, "--wait", 300,
@@ -173,11 +183,8 @@ def check_long(system, given):
                            limit=400)
     require(answer["ok"], answer)
     time.sleep(max(0, seconds - (time.monotonic() - began)))  # nothing else takes so long: `info` reads the whole file
-    total = -1
-    while (now := system.info("long.mcap")["messages"]) != total:
-        total = now
-        time.sleep(5)
-    require(total > 0.99 * each * given.channels, f"{total} messages of {each * given.channels} were recorded")
+    # The recorder may have come too late for the first message of a channel.
+    wait_for_messages("all is recorded", "long.mcap", 0.99 * each * given.channels)
     memory_mb = most_memory_mb(recorder.pid)
     system.end(recorder)
     recorded = system.info("long.mcap")
@@ -186,19 +193,20 @@ def check_long(system, given):
     recorder = system.record("again.mcap", "--where", 'driver == "loadgen"')
     system.wait_until_listening("again.mcap", given.channels)
     done = system.play("long.mcap", "--speed", given.speed)
-    require(done.returncode == 0 and f"{total} messages played, {total} taken" in done.stdout, done)
+    require(done.returncode == 0 and f"{recorded['messages']} messages played, {recorded['messages']} taken" in done.stdout, done)
     late_ms = float(re.search(r"the latest was ([\d.]+) ms late", done.stdout)[1])
-    wait_for("the play is recorded", lambda: system.info("again.mcap")["messages"] == total, 600)
+    wait_for_messages("the play is recorded", "again.mcap", recorded["messages"])
     system.end(recorder)
     same = system.compare("long.mcap", "again.mcap", given.speed)
+    total, wrong = same["messages"], len(same["different"])
     require(not same["different"], f"{len(same['different'])} messages are different: {same['different'][:20]}")
-    require((same["channels"], same["messages"]) == (given.channels, total), same)
+    require(same["channels"] == given.channels, same)
     print(f"{total} messages of {given.channels} channels, recorded in {given.minutes:g} min: each came again with its bytes, properties "
           f"and time, in its order; the play was at most {late_ms:.1f} ms late, and arrivals were off by {same['off_p50_ms']:.2f} ms (p50), "
-          f"{same['off_p99_ms']:.2f} ms (p99); the recorder had {memory_mb:.0f} MB")
+          f"{same['off_p99_ms']:.2f} ms (p99); {same['twice']} were handed over again; the recorder had {memory_mb:.0f} MB")
     name = f"{given.minutes:g} min of {given.channels} channels, {given.rate * given.channels:g}/s"
-    return [{"name": f"{name}: messages lost, out of order or other after record, play and record", "value": 0, "unit": "messages",
-             "target": "none", "met": True},
+    return [{"name": f"{name}: messages lost, out of order or other after record, play and record", "value": wrong, "unit": "messages",
+             "target": "none", "met": wrong == 0},
             {"name": f"{name}: recorded and played", "value": total, "unit": "messages", "target": None, "met": None},
             {"name": f"{name}: played {given.speed:g} x as fast, the latest", "value": late_ms, "unit": "ms late", "target": None, "met": None},
             {"name": f"{name}: spacing of arrivals off by, p99", "value": same["off_p99_ms"], "unit": "ms", "target": None, "met": None},
