@@ -21,8 +21,11 @@ class Programs:
     def __init__(self, folder, prefix):
         self.folder, self.prefix = folder, prefix
 
+    def path(self, name):
+        return self.folder / f"bench_{self.prefix}_{name}"
+
     def has(self, name):
-        return (self.folder / f"bench_{self.prefix}_{name}").exists()
+        return self.path(name).exists()
 
     def run(self, name, *arguments):
         """Runs a program and returns the lines of JSON that it prints. Raises ProgramFailed when it fails: its figures
@@ -31,7 +34,7 @@ class Programs:
 
     def output(self, name, *arguments):
         """Runs a program and returns what it prints. Raises ProgramFailed."""
-        command = [str(self.folder / f"bench_{self.prefix}_{name}"), *map(str, arguments)]
+        command = [str(self.path(name)), *map(str, arguments)]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S)
         except subprocess.TimeoutExpired as late:

@@ -23,11 +23,12 @@ import page
 from figures import number
 
 BLOCK = re.compile(r"(<!-- result: (?P<name>[\w/.-]+)(?: (?P<chosen>[^\n]*?))? -->\n).*?(<!-- end of result -->)", re.S)
-# What tests measure beside what they test.
-OF_TESTS = {"pool": "./dev test -R topologies_are_submitted_to_pools",
+# What takes figures whose file does not have its benchmark's name; tests measure some beside what they test.
+COMMANDS = {"pool": "./dev test -R topologies_are_submitted_to_pools",
             "recording": "./dev test --long -R ten_minutes_of_a_thousand_channels",
             "storm_faults": "./dev test --long -R storm_under_faults",
-            "storm_shares": "./dev test --long -R storm_tasks_share"}
+            "storm_shares": "./dev test --long -R storm_tasks_share",
+            "paper/turtlebot-placed": "./dev bench paper --figure turtlebot-placed"}
 NEEDED = ("machine", "commit", "command", "results")
 
 
@@ -72,7 +73,7 @@ def shown(results, name, chosen):
     file = results / f"{name}.json"
     if not file.exists():
         command = name.removeprefix("paper/").replace("figure-", "paper --figure ").replace("storm-", "storm --")
-        return f"No run is kept in the project; `{OF_TESTS.get(name, f'./dev bench {command}')}` takes these figures.\n"
+        return f"No run is kept in the project; `{COMMANDS.get(name, f'./dev bench {command}')}` takes these figures.\n"
     data = read(file)
     rows = [row(result) for result in data["results"]
             if (re.search(chosen, result["name"]) if chosen else result.get("met") is not None)]

@@ -1,7 +1,8 @@
 #!/usr/bin/python3
 """Runs a benchmark, prints a table and writes build/bench/NAME.json.
 
-usage: ./dev bench runtime [--quick] [--build DIR] [--json FILE]      (it builds what this needs, and runs this file)
+usage: ./dev bench runtime [--quick] [--before PROGRAM] [--keep-noisy] [--build DIR] [--json FILE]
+                         (it builds what this needs, and runs this file)
        ./dev bench brokers [--quick] [--only BROKER] [--figures REGEX] [--rounds N] [--keep-noisy] [--build DIR]
                            [--json FILE]
        ./dev bench discovery [--quick] [--rounds N] [--instances N] [--build DIR] [--json FILE]
@@ -63,6 +64,8 @@ def main():
     add_paper_options(paper, root)
     add_storm_options(storm, root)
     runtime.add_argument("--quick", action="store_true", help="fewer and shorter rounds, no latency of the wider DAGs")
+    runtime.add_argument("--before", type=Path, metavar="PROGRAM", help="bench_runtime_iotcloud of an earlier build, to run beside")
+    runtime.add_argument("--keep-noisy", action="store_true", help="rounds in which other processes took much CPU count, too")
     soak.add_argument("--minutes", type=float, default=10)
     soak.add_argument("--seed", type=int, help="to disturb it in the same way again")
     brokers.add_argument("--quick", action="store_true", help="fewer sizes and rates, three rounds")

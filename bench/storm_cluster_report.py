@@ -5,9 +5,9 @@ import statistics
 
 from brokers_report import p50, p99
 from figures import ProgramFailed
+from rounds import Rounds
 from storm_cluster import CPP, JAVA, LOADS, OWN, SETTLE_S, StartError
 from storm_board import FULL
-from storm_rounds import Rounds
 
 RATE_TARGET, CPU_TARGET, LATENCY_TARGET = 0.9, 1.2, 1.0  # targets: times plain Java's
 PACE = 1000  # items a second at which latency is measured

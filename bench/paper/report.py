@@ -31,6 +31,7 @@ FIGURES = [
     storm_report.FIGURE,
     storm_soak.SOAK,
     turtlebot.ON_STORM,
+    turtlebot.PLACED,
 ]
 
 

@@ -1,4 +1,6 @@
 // The DAGs on IoTCloud's own runtime, written as a user of the SDK writes a topology.
+#include <array>
+
 #include <iotcloud/bench/runtime/iotcloud_engine.h>
 #include <iotcloud/topology/runtime/runtime.h>
 
@@ -25,7 +27,8 @@ std::uint64_t item_of(const Tuple& tuple, std::size_t field) {
 /// Emits the items that are due according to the feed.
 class Source : public topology::Spout {
  public:
-  Source(Workload& work, topology::SpoutWaker& waker) : work_(work), waker_(waker) {}
+  /// \param wakers by task.
+  Source(Workload& work, std::array<topology::SpoutWaker, 2>& wakers) : work_(work), wakers_(wakers) {}
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     switch (work_.options.dag) {
       case Dag::words:
@@ -37,12 +40,13 @@ class Source : public topology::Spout {
     }
   }
   void open(const Config&, const TopologyContext& context, SpoutOutputCollector& collector) override {
-    waker_ = context.waker;
+    task_ = static_cast<std::size_t>(context.task_index);
+    wakers_.at(task_) = context.waker;
     collector_ = &collector;
   }
   bool next_tuple() override {
     if (!work_.feed.due()) return false;
-    const std::uint64_t n = work_.feed.take();
+    const std::uint64_t n = work_.options.sources == 1 ? work_.feed.take() : work_.feed.take_among_others();
     if (work_.options.tracked) {
       collector_->emit(item(n), n);
     } else {
@@ -50,7 +54,7 @@ class Source : public topology::Spout {
     }
     return true;
   }
-  void ack(MessageId id) override { work_.arrivals[0].arrived(work_.feed, id, results_of_item(work_.options.dag)); }
+  void ack(MessageId id) override { work_.arrivals[task_].arrived(work_.feed, id, results_of_item(work_.options.dag)); }
   void fail(MessageId) override { ++work_.wrong; }
 
  private:
@@ -65,7 +69,8 @@ class Source : public topology::Spout {
     }
   }
   Workload& work_;
-  topology::SpoutWaker& waker_;
+  std::array<topology::SpoutWaker, 2>& wakers_;
+  std::size_t task_ = 0;
   SpoutOutputCollector* collector_ = nullptr;
 };
 
@@ -135,14 +140,20 @@ class Count : public BasicBolt {
 
 class IotcloudEngine : public Engine {
  public:
-  explicit IotcloudEngine(Workload& work) : runtime_(dag(work), options(work)) { runtime_.start(); }
-  void pump() override { waker_.wake(); }
+  explicit IotcloudEngine(Workload& work) : sources_(work.options.sources), runtime_(dag(work), options(work)) {
+    runtime_.start();
+  }
+  void pump() override {
+    wakers_[0].wake();
+    if (sources_ == 2) wakers_[1].wake();
+  }
   void stop() override { runtime_.stop(std::chrono::seconds(5)); }
 
  private:
   topology::Topology dag(Workload& work) {
     topology::TopologyBuilder builder;
-    builder.set_spout("source", [&work, this] { return std::make_unique<Source>(work, waker_); });
+    builder.set_spout(
+        "source", [&work, this] { return std::make_unique<Source>(work, wakers_); }, work.options.sources);
     const Dag dag = work.options.dag;
     if (dag == Dag::words) {
       const bool numbered = work.feed.paced();
@@ -170,8 +181,9 @@ class IotcloudEngine : public Engine {
     if (work.options.tracked) all.max_spout_pending = max_pending;
     return all;
   }
+  const int sources_;
   config::Metrics metrics_;
-  topology::SpoutWaker waker_;
+  std::array<topology::SpoutWaker, 2> wakers_;
   topology::Runtime runtime_;
 };
 

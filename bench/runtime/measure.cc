@@ -16,7 +16,7 @@ namespace {
 
 constexpr const char* usage_text =
     "usage: %s [--dag chain|words|fan|payload] [--tracked] [--rate RESULTS_A_SECOND] [--seconds S] [--warm-up S] "
-    "[--threads N]\n       %s --print-sentences\n";
+    "[--threads N] [--sources 1|2]\n       %s --print-sentences\n";
 
 std::optional<Options> parse(int argc, char** argv) {
   Options options;
@@ -38,6 +38,8 @@ std::optional<Options> parse(int argc, char** argv) {
       options.warm_up = std::strtod(value, nullptr);
     } else if (name == "--threads") {
       options.threads = static_cast<unsigned>(std::strtoul(value, nullptr, 10));
+    } else if (name == "--sources") {
+      options.sources = static_cast<int>(std::strtol(value, nullptr, 10));
     } else {
       return std::nullopt;
     }
@@ -45,6 +47,7 @@ std::optional<Options> parse(int argc, char** argv) {
   constexpr const char* dags[] = {"chain", "words", "fan", "payload"};
   const auto found = std::find(std::begin(dags), std::end(dags), options.dag_name);
   if (found == std::end(dags) || options.seconds <= 0) return std::nullopt;
+  if (options.sources != 1 && (options.sources != 2 || options.rate > 0)) return std::nullopt;
   options.dag = static_cast<Dag>(found - std::begin(dags));
   return options;
 }
@@ -107,9 +110,11 @@ int measure(const char* engine_name, int argc, char** argv, const MakeEngine& ma
   pause(options->warm_up);
   for (Arrivals& arrivals : work.arrivals) arrivals.begin_recording(work.feed.sent());
   const Usage before = Usage::now();
+  const double machine_before = machine_cpu_seconds();
   const std::uint64_t first = arrived(work);
   pause(options->seconds);
   const std::uint64_t last = arrived(work);
+  const double machine = machine_cpu_seconds() - machine_before;
   const Usage after = Usage::now();
   work.feed.stop();
   source.join();
@@ -129,10 +134,11 @@ int measure(const char* engine_name, int argc, char** argv, const MakeEngine& ma
   const double per_second = static_cast<double>(last - first) / seconds;
   std::printf(
       "{\"engine\":\"%s\",\"dag\":\"%s\",\"tracked\":%s,\"rate\":%.0f,\"per_second\":%.0f,\"ns_per_hop\":%.2f,"
-      "\"cpu_percent\":%.2f,\"switches_per_second\":%.0f",
+      "\"cpu_percent\":%.2f,\"switches_per_second\":%.0f,\"others_cpu\":%.3f",
       engine_name, options->dag_name.c_str(), options->tracked ? "true" : "false", options->rate, per_second,
       1e9 / per_second / hops_of_result(options->dag), after.cpu_percent_since(before),
-      after.switches_per_second_since(before));
+      after.switches_per_second_since(before),
+      std::max(0.0, (machine - (after.cpu_seconds - before.cpu_seconds)) / seconds));
   if (options->rate > 0) {
     // The latency of the busier last task; when there are two, their items are alike.
     const Arrivals& one = work.arrivals[0].latency.summary().count >= work.arrivals[1].latency.summary().count

@@ -28,6 +28,7 @@ struct Options {
   double rate = 0;  ///< results a second; 0: as many as possible
   double warm_up = 0.5, seconds = 1.5;
   unsigned threads = 0;  ///< 0: the engine's own choice
+  int sources = 1;       ///< tasks of the source: 1, or 2 if the rate is 0; only iotcloud_engine.cc has two
 };
 inline constexpr std::uint64_t max_pending = 4096;  ///< most tracked items under way
 
@@ -39,7 +40,8 @@ constexpr double hops_of_result(Dag dag) {
   return dag == Dag::words ? 1.1 : 2;
 }
 
-/// The source's view: which item is due. One thread at a time uses it, except where a comment says otherwise.
+/// The source's view: which item is due. One thread at a time uses it, except where a comment says otherwise. Without
+/// pacing several may call due().
 class Feed {
  public:
   explicit Feed(const Options& options);
@@ -54,6 +56,8 @@ class Feed {
     sent_.store(n + 1, std::memory_order_relaxed);
     return n;
   }
+  /// The same, by several threads at a time.
+  std::uint64_t take_among_others() { return sent_.fetch_add(1, std::memory_order_relaxed); }
   /// The time at which item `n` should be sent. Any thread, after start().
   std::int64_t intended_ns(std::uint64_t n) const {
     return start_ns_ + static_cast<std::int64_t>(static_cast<double>(n) * interval_ns_);

@@ -36,11 +36,11 @@ def changed_follower(library, changes):
     return text
 
 
-def topology_with_stamps(library, folder):
-    """The example's own YAML, with the bolts of the library that records time stamps."""
+def stamped(library, folder, changes=()):
+    """The example's own YAML with more changes, and with the bolts of the library that records time stamps."""
     decoder = "    class: \"turtlebot.Decoder\"\n"
     return changed_follower(library, [(decoder, f"{decoder}    conf: {{stamps: \"{folder}\"}}\n", 1),
-                                      ("    conf: {goal_distance", f"    conf: {{stamps: \"{folder}\", goal_distance", 1)])
+                                      ("    conf: {goal_distance", f"    conf: {{stamps: \"{folder}\", goal_distance", 1), *changes])
 
 
 class Loop(System):
@@ -59,7 +59,7 @@ class Loop(System):
             self.cluster.start(gateways=2)
             self.url = self.cluster.rabbitmq
             library = self.cluster.plugins / "bench_turtlebot_stamps.so"
-            self.cluster.topology("topology", topology_with_stamps(library, self.stamps))
+            self.cluster.topology("topology", stamped(library, self.stamps))
             self.cluster.wait_until_ready()
             self._begin_tap()
         except BaseException:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from brokers_report import Report
 from paper.points import Pair
-from turtlebot import FIGURE, ON_STORM, figure, on_storm, parts, tap
+from turtlebot import FIGURE, ON_STORM, PLACED, figure, on_storm, parts, placed, tap
 
 MS = 1_000_000
 PERIOD = 50 * MS
@@ -174,7 +174,7 @@ class FigureTest(unittest.TestCase):
         self.assertEqual([series["kind"] for series in plots[0]["series"]], ["ours", "limit", "paper", "paper"])
 
     def test_the_topology_is_the_examples_with_time_stamps(self):
-        text = figure.topology_with_stamps("/lib.so", "/stamps")
+        text = figure.stamped("/lib.so", "/stamps")
         self.assertIn('topology.library: "/lib.so"', text)
         self.assertEqual(text.count('stamps: "/stamps"'), 2)
         self.assertIn('zk.servers: ["{zookeeper}"]', text)
@@ -201,16 +201,49 @@ class FigureTest(unittest.TestCase):
         self.assertEqual([series["kind"] for series in plots[0]["series"]], ["ours", "limit"])
         self.assertTrue(self.judged_on_storm(3, lost=1)[1].failed)
 
+    def judged_placed(self, ours_ms, theirs_ms, in_worker=((1.0,), (2.0,)), lost=0):
+        def lines_of(whole):
+            frames = [parts.Frame({"seq": "0", "time_ms": "1", "monotonic_us": "0", "render_us": "0", "encode_us": "0",
+                                   "payload_bytes": "56000", "answered": "1", "latency_us": str(round(each * 1000))}) for each in whole]
+            return [{**parts.statistics_of(whole, lost), "frames": frames, "others_cpu": 0.0}]
+        pair, report = Pair("busy"), Report()
+        pair.ours, pair.theirs = lines_of(ours_ms), lines_of(theirs_ms)
+        PLACED.judge(pair, report, *map(list, in_worker))
+        return report
+
+    def test_a_placed_worker_stands_beside_one_that_is_not_with_the_thousandth_frame(self):
+        report = self.judged_placed([1.0] * 1998 + [5.0, 7.0], [2.0] * 1998 + [20.0, 70.0])
+        found = {result["name"]: (result["value"], result["baseline_value"], result["baseline"]) for result in report.results}
+        self.assertEqual(found["busy, all frames (2000): p99.9"], (5, 20, placed.USUAL))
+        self.assertEqual(found["busy, all frames (2000): max"], (7, 70, placed.USUAL))
+        self.assertEqual(found["busy, in the worker (1): p99.9"], (1, 2, placed.USUAL))
+        self.assertFalse(report.failed)
+
+    def test_frames_without_a_command_are_told_of_both_and_without_time_stamps_the_run_fails(self):
+        report = self.judged_placed([1.0], [2.0], lost=3)
+        lost = [result["value"] for result in report.results if "without a command" in result["name"]]
+        self.assertEqual(lost, [3, 3])
+        self.assertIn("no frame has all time stamps", self.judged_placed([1.0], [2.0], ((), ())).failed)
+
+    def test_how_long_a_frame_was_in_a_worker_is_by_its_own_time_stamps(self):
+        with tempfile.TemporaryDirectory() as folder:
+            for component, begin, end in (("decode", 12, 13), ("follow", 14, 16)):
+                (Path(folder) / f"{component}-3.csv").write_text(f"time_ms,born_ns,begin_ns,end_ns\n7,{11 * MS},{begin * MS},{end * MS}\n")
+            frames = [parts.Frame({"seq": "0", "time_ms": str(time), "monotonic_us": "0", "render_us": "0", "encode_us": "0",
+                                   "payload_bytes": "1", "answered": "1", "latency_us": "1"}) for time in (7, 8)]
+            self.assertEqual(placed.PlacedLoop.in_worker_ms(frames, folder), [5.0])
+
     @unittest.skipUnless("IOTCLOUD_BUILD" in os.environ, "IOTCLOUD_BUILD names a build with the worker and the bolts")
-    def test_the_worker_takes_the_topology_with_time_stamps(self):
+    def test_the_worker_takes_the_topologies_with_time_stamps(self):
         build = Path(os.environ["IOTCLOUD_BUILD"])
+        library = build / "plugins/bench_turtlebot_stamps.so"
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "topology.yaml"
-            text = figure.topology_with_stamps(build / "plugins/bench_turtlebot_stamps.so", folder)
-            file.write_text(text.replace("{zookeeper}", "127.0.0.1:1"))
-            done = subprocess.run([build / "bin/iotcloud-topology", "--check", file], capture_output=True, text=True)
-        self.assertEqual(done.returncode, 0, done.stderr)
-        self.assertIn("class turtlebot.Decoder", done.stdout)
+            for text in (figure.stamped(library, folder), placed.placed_topology(library, folder)):
+                file.write_text(text.replace("{zookeeper}", "127.0.0.1:1"))
+                done = subprocess.run([build / "bin/iotcloud-topology", "--check", file], capture_output=True, text=True)
+                self.assertEqual(done.returncode, 0, done.stderr)
+                self.assertIn("class turtlebot.Decoder", done.stdout)
 
 
 if __name__ == "__main__":

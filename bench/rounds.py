@@ -1,4 +1,4 @@
-"""Rounds in which the sides of `./dev bench storm` take turns."""
+"""Rounds in which the sides of `./dev bench runtime` and `./dev bench storm` take turns."""
 
 from brokers_report import NOISE
 from figures import ProgramFailed
