@@ -40,13 +40,13 @@ BOLT = """
 
 
 class Store:
-    """What the bolt's state has, as Redis answers."""
+    """What the state of a topology's bolt `between` has, as Redis answers."""
 
-    def __init__(self, url):
-        self.address = ("127.0.0.1", int(url.rsplit(":", 1)[1]))
+    def __init__(self, url, topology="echo"):
+        self.address, self.of_bolt = ("127.0.0.1", int(url.rsplit(":", 1)[1])), f"iotcloud:state:1:{topology}:between:"
 
     def value(self, key):
-        words = [b"HGET", b"iotcloud:state:1:echo:between:" + key.encode(), b"v"]
+        words = [b"HGET", (self.of_bolt + key).encode(), b"v"]
         request = b"*%d\r\n" % len(words) + b"".join(b"$%d\r\n%s\r\n" % (len(word), word) for word in words)
         with socket.create_connection(self.address, timeout=60) as connection:
             connection.sendall(request)

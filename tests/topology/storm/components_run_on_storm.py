@@ -54,7 +54,8 @@ class ComponentsOnStorm(StormCase):
         submitted = self.run_program("submit", str(file), "--nimbus", self.storm.url(), "--wait", str(self.limit_s),
                                      program=("iotcloud", "topology"))
         self.assertEqual(submitted.returncode, 0, submitted.stderr + self.logs())
-        self.assertIn("libstdc++.so.6", submitted.stderr)
+        self.assertRegex(submitted.stderr, r"the jar has, beside the component libraries: .*libyaml-cpp\.so\.0\.7")
+        self.assertRegex(submitted.stderr, r"expected on the workers' machines: .*libc\.so\.6")
         self.assertRegex(submitted.stdout, r"counts runs: \d+ tasks in 2 workers")
         self.assertRegex(submitted.stderr, r"sent \d+ of \d+ KiB")
         self.wait_for("all numbers are done", lambda: self.counts(out, "numbers"))

@@ -115,7 +115,7 @@ class MixOnStorm(StormCase):
             "Long (or Integer, Short, Byte), Double (or Float), String and byte[]"))
 
         def counts():
-            return {row["component"]: (row["acked"], row["failed"]) for row in self.table("metrics", "odd")}
+            return {row["component"]: (row["sum"]["acked"], row["sum"]["failed"]) for row in self.table("metrics", "odd")["components"]}
         self.wait_for("Storm's counts", lambda: counts().get("names") == (2, 1))
         self.assertEqual(len(self.storm.running_workers("odd")), 1)
         self.ask("kill", "odd", "--wait", "0")

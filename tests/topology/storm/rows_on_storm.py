@@ -1,9 +1,11 @@
 #!/usr/bin/python3
 """What topology/storm/README.md says of components on Storm and no other test tries, on a private Storm, with exact counts:
 windows, values and keys of all kinds, time-outs that begin anew, bolts that hang; and with a private broker a join of two drivers
-over two workers, metadata, keepLast, a deadline, the fence of a worker that stood still.
+over two workers, metadata, keepLast, a deadline, the fence of a worker that stood still, a topology that is inactive, and state in
+Redis while a worker is killed.
 
-usage: rows_on_storm.py BUILD LIBRARY     (BUILD: build/release; LIBRARY: the library of components.cc)
+usage: rows_on_storm.py BUILD LIBRARY COUNTING
+       (BUILD: build/release; LIBRARY: the library of components.cc; COUNTING: that of tests/cluster/counting_bolt.cc)
 """
 import os
 import re
@@ -13,9 +15,11 @@ import time
 import urllib.request
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
+TESTS = Path(__file__).resolve().parents[2]
+sys.path[0:0] = [str(TESTS / "servers"), str(TESTS / "cluster")]
 from private_cluster import PrivateCluster, result_of  # noqa: E402
 from private_server import free_ports  # noqa: E402
+from state_test import Store  # noqa: E402
 from storm_case import StormCase, run  # noqa: E402
 
 WAITS = "spout_wait: 5ms, bolt_wait: 5ms, back_pressure_wait: 5ms"
@@ -79,7 +83,7 @@ bolts:
 
 class RowsOnStorm(StormCase):
     limit_s = 300
-    cluster = None
+    cluster = counting = None
 
     @classmethod
     def drivers(cls):
@@ -173,21 +177,23 @@ class RowsOnStorm(StormCase):
         self.assertLessEqual(self.only("hangs")["ticks"], before + passed + 10)
         self.assertGreater(self.only("hangs")["ticks"], before + 1)
 
-    def with_drivers(self, name, components, more=""):
+    def with_drivers(self, name, components, library=None):
         cluster = self.drivers()
         text = f"""
 zk.servers: ["{cluster.zookeeper.removeprefix("zookeeper://")}"]
 topology.name: {name}
-topology.library: {self.library}
+topology.library: {library or self.library}
 conf: {{out: "{self.out}"}}
 metrics: {{address: "127.0.0.1:{free_ports(1)[0]}"}}
 {components}"""
         self.submit(name, text)
         self.addCleanup(self.drivers().undeploy_all)
 
-    def deploy(self, count, rate, report=None):
-        properties = {"size": 200, "rate": rate, "count": count, **({"report": report} if report else {})}
-        self.drivers().deploy("loadgen.so", "gateway-1", properties)
+    def deploy(self, count, rate, report=None, **more):
+        """Returns the instance of a load generator."""
+        properties = {"size": 200, "rate": rate, "count": count, **({"report": report} if report else {}), **more}
+        words = [f"--property={name}={value}" for name, value in properties.items()]
+        return self.drivers().json("deploy", "loadgen.so", "--gateway", "gateway-1", *words)["outcomes"][0]["instance"]
 
     def counter(self, name, words=""):
         """The sum of a counter's values at all workers."""
@@ -284,5 +290,65 @@ bolts:
         self.assertEqual(set(self.storm.running_workers("fenced").values()), {worker})
 
 
+    def test_a_topology_that_is_inactive_takes_no_more_than_it_holds(self):
+        prefetch = 10
+        self.with_drivers("paused", f"""
+runtime: {{message_timeout: 300s}}
+engine: {{storm: {{{WAITS}}}}}
+spouts:
+  receive: {{broker: rabbitmq, driver: loadgen, channel: data, fields: [data, driverID, time], properties: {{prefetchCount: {prefetch}}}}}
+  steady: {{class: test.Steady, conf: {{period_ms: 50}}}}
+bolts:
+  count: {{class: test.Count, tick: 200ms, inputs: {{from: steady}}}}
+  gate: {{class: test.Gate, inputs: {{from: receive}}}}
+  send: {{broker: rabbitmq, driver: loadgen, channel: echo, fields: [data, driverID, time], inputs: {{from: gate}}}}
+""")
+        self.ask("deactivate", "paused")
+        self.wait_for("the spouts are inactive", lambda: self.only("steady").get("deactivated") == 1)
+        report = self.out / "report.json"
+        self.deploy(MESSAGES, 200, report)
+        time.sleep(2 * MESSAGES / 200)  # the driver sends them all
+        self.assertEqual(self.only("gate"), {})
+        self.assertLessEqual(self.counter("iotcloud_spout_received_total"), prefetch)
+        self.ask("activate", "paused")
+        self.wait_for("all messages are back", lambda: result_of(report))
+        self.assertEqual(result_of(report)["received"], MESSAGES)
+
+    def test_state_in_redis_has_each_message_once_though_a_worker_is_killed(self):
+        url = self.drivers().server("redis")
+        self.with_drivers("remembered", f"""
+runtime: {{max_spout_pending: 200, message_timeout: 20s}}
+engine: {{storm: {{workers: 2, {WAITS}}}}}
+spouts:
+  receive:
+    broker: rabbitmq
+    driver: loadgen
+    channel: data
+    fields: [data, driverID, time]
+    parallelism: 2
+    properties: {{maxTries: 1000}}
+bolts:
+  between:
+    class: test.Counting
+    parallelism: 2
+    conf: {{state.store: "{url}", state.checkpoint: 200ms}}
+    inputs: {{from: receive, grouping: fields, fields: [driverID]}}
+""", self.counting)
+        # RabbitMQ drops the queue of another channel when nobody has read it for a minute.
+        instances = [self.deploy(MESSAGES, 20, **{"channel.data.durable": "true"}) for _ in range(4)]
+        store = Store(url, "remembered")
+
+        def counts():
+            return [store.value("count of " + instance) for instance in instances]
+        self.wait_for("every driver is counted", lambda: all(counts()))
+        self.assertLess(sum(counts()), MESSAGES * len(instances))
+        before = self.storm.running_workers("remembered")
+        os.kill(next(iter(before.values())), signal.SIGKILL)
+        self.wait_for("all are counted", lambda: sum(counts()) >= MESSAGES * len(instances))
+        self.assertEqual(counts(), [MESSAGES] * len(instances))
+        self.assertNotEqual(set(self.storm.running_workers("remembered").values()), set(before.values()))
+
+
 if __name__ == "__main__":
+    RowsOnStorm.counting = sys.argv[3]
     sys.exit(run(RowsOnStorm, *sys.argv[1:3]))

@@ -153,6 +153,10 @@ void for_each_trace(const TupleCell& cell, Call&& call) {
   });
 }
 
+// All that a tuple of one value and one receiver needs is in two cache lines. The values, which are the last member, have
+// room for four.
+static_assert(alignof(TupleCell) == 64 && sizeof(detail::TupleData) - 3 * sizeof(Value) <= 2 * 64);
+
 using CellList = FlatList<TupleCell*>;
 
 inline TupleCell* cell_of(const Tuple& tuple) {
