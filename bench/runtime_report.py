@@ -166,6 +166,16 @@ def saturation(programs, report, scale, dag, tracked, sources=1):
     return {engine: statistics.median(line["per_second"] for line in runs) for engine, runs in lines.items() if runs}
 
 
+def numbered(programs, report, scale, tracked, most):
+    """Measures our highest rate with words that have their item's number, as they have at a load and as they always have on the
+    other engines. Returns `most` with this rate in the place of ours."""
+    name = f"{title('words', tracked)}, numbered"
+    lines = turns(programs, report, scale, name, (OURS,), scale.rounds,
+                  lambda _: ["--dag", "words", "--numbered", "--warm-up", 0.5, "--seconds", scale.seconds, *["--tracked"] * tracked])
+    report.compare(f"{name}: at most", "M words/s", column(lines, lambda line: line["per_second"] / 1e6))
+    return {**most, OURS: statistics.median(line["per_second"] for line in lines[OURS])} if lines[OURS] else {}
+
+
 def latency(programs, report, scale, dag, tracked, most, load):
     """Measures latency at a part of each engine's highest rate: from the time at which an item should have been sent to
     the end of the last task (or to the ack)."""
@@ -230,6 +240,8 @@ def measure(programs, report, scale):
     for dag in DAGS:
         for tracked in (False, True):
             most = saturation(programs, report, scale, dag, tracked)
+            if dag == "words" and most:
+                most = numbered(programs, report, scale, tracked, most)
             for load in scale.loads(dag) if most else ():
                 latency(programs, report, scale, dag, tracked, most, load)
             if dag in RATES_OF_TWO_SOURCES:

@@ -24,6 +24,11 @@ std::uint64_t item_of(const Tuple& tuple, std::size_t field) {
   return static_cast<std::uint64_t>(tuple.get<std::int64_t>(field));
 }
 
+/// Whether a word has its item's number, by which it is timed.
+bool is_numbered(const Workload& work) {
+  return work.feed.paced() || work.options.numbered;
+}
+
 /// Emits the items that are due according to the feed.
 class Source : public topology::Spout {
  public:
@@ -32,7 +37,7 @@ class Source : public topology::Spout {
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     switch (work_.options.dag) {
       case Dag::words:
-        return declarer.declare(work_.feed.paced() ? Fields{"sentence", "n"} : Fields{"sentence"});
+        return declarer.declare(is_numbered(work_) ? Fields{"sentence", "n"} : Fields{"sentence"});
       case Dag::payload:
         return declarer.declare({"payload", "n"});
       default:
@@ -61,7 +66,7 @@ class Source : public topology::Spout {
   Values item(std::uint64_t n) const {
     switch (work_.options.dag) {
       case Dag::words:
-        return work_.feed.paced() ? Values(work_.sentences[n], n) : Values(work_.sentences[n]);
+        return is_numbered(work_) ? Values(work_.sentences[n], n) : Values(work_.sentences[n]);
       case Dag::payload:
         return Values(work_.payloads[n], n);
       default:
@@ -125,7 +130,7 @@ class Count : public BasicBolt {
   void execute(const Tuple& tuple, BasicOutputCollector&) override {
     ++counts_[tuple.get<std::string>(0)];
     if (work_.options.tracked) return;
-    if (work_.feed.paced()) {
+    if (is_numbered(work_)) {
       work_.arrivals[task_].arrived(work_.feed, item_of(tuple, 1));
     } else {
       work_.arrivals[task_].arrived();
@@ -156,7 +161,7 @@ class IotcloudEngine : public Engine {
         "source", [&work, this] { return std::make_unique<Source>(work, wakers_); }, work.options.sources);
     const Dag dag = work.options.dag;
     if (dag == Dag::words) {
-      const bool numbered = work.feed.paced();
+      const bool numbered = is_numbered(work);
       builder
           .set_bolt(
               "split", [=] { return topology::make_bolt<Split>(numbered); }, 2)

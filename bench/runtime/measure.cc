@@ -16,14 +16,14 @@ namespace {
 
 constexpr const char* usage_text =
     "usage: %s [--dag chain|words|fan|payload] [--tracked] [--rate RESULTS_A_SECOND] [--seconds S] [--warm-up S] "
-    "[--threads N] [--sources 1|2]\n       %s --print-sentences\n";
+    "[--threads N] [--sources 1|2] [--numbered]\n       %s --print-sentences\n";
 
 std::optional<Options> parse(int argc, char** argv) {
   Options options;
   for (int i = 1; i < argc; ++i) {
     const std::string_view name = argv[i];
-    if (name == "--tracked") {
-      options.tracked = true;
+    if (name == "--tracked" || name == "--numbered") {
+      (name == "--tracked" ? options.tracked : options.numbered) = true;
       continue;
     }
     if (i + 1 == argc) return std::nullopt;

@@ -87,6 +87,12 @@ class RuntimeReportTest(unittest.TestCase):
         self.assertEqual([(each["value"], each["met"]) for each in times], [(2, True)] * 4)
         self.assertNotIn("earlier", " ".join(self.targets(self.measured(without=(BEFORE,)))))
 
+    def test_a_load_is_a_part_of_the_rate_with_the_same_items(self):
+        self.measured(lambda engine, options, _: {"per_second": 8e6} if "--numbered" in options else {})
+        rates = {engine: {options.split("--rate ")[1].split()[0] for each, options in self.programs.asked
+                          if each == engine and "--dag words --rate" in options} for engine in (OURS, RING)}
+        self.assertEqual(rates, {OURS: {"80000", "4000000", "7200000"}, RING: {"300000", "15000000", "27000000"}})
+
     def test_only_our_engine_has_two_sources(self):
         self.measured()
         self.assertEqual({engine for engine, options in self.programs.asked if "--sources 2" in options}, {OURS})
