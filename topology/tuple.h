@@ -32,7 +32,9 @@ struct StreamInfo {
 /// `receiver`; only the receiver itself uses the rest.
 struct Delivery {
   const internal::Task* receiver = nullptr;
-  std::uint64_t change = 0;  ///< XOR of its own id and the ids of what was emitted with it as the only anchor
+  /// XOR of its own id and the ids of what was emitted with it as the only anchor; and, if it is the first such tuple
+  /// of one that was acked in the same call, what that one had to settle.
+  std::uint64_t change = 0;
   /// When the execute() began that returned without ack or fail; 0: none did; `settled`: acked, failed or dropped.
   std::int64_t executed_ns = 0;
   static constexpr std::int64_t settled = -1;

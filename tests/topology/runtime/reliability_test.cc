@@ -1,4 +1,6 @@
+#include <algorithm>
 #include <random>
+#include <stdexcept>
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -79,6 +81,104 @@ TEST_F(Reliability, AcksOnlyWhenTheWholeTreeIsDone) {
   EXPECT_THAT(source->acked(), IsEmpty());
   settle(1, true);
   EXPECT_THAT(source->acked(), ElementsAre(1));
+}
+
+TEST_F(Reliability, ATupleThatIsAnsweredAfterItsChildrenHoldsTheTreeUntilThen) {
+  for (const bool ack : {true, false}) {
+    kept.clear(), collectors.clear();
+    source = std::make_shared<Source>();
+    start(
+        [this](TopologyBuilder& builder) {
+          builder
+              .set_bolt("parent", bolt(
+                                      [this](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                                        for (int child = 0; child < 3; ++child) out.emit(tuple, Values(child));
+                                        collectors.push_back(&out);
+                                        kept.push_back(tuple);
+                                      },
+                                      {"value"}))
+              .shuffle_grouping("in");
+          builder.set_bolt("pass", pass_bolt()).shuffle_grouping("parent");
+          builder
+              .set_bolt("end",
+                        bolt([](const Tuple& tuple, OutputCollector& out, const TopologyContext&) { out.ack(tuple); }))
+              .shuffle_grouping("pass");
+        },
+        bench.options());
+    source->put(Values(1));
+    ASSERT_EQ(kept.size(), 1U);
+    EXPECT_EQ(runtime->snapshot().component("end").acked, 3U);
+    EXPECT_THAT(source->acked(), IsEmpty());
+    settle(0, ack);
+    EXPECT_THAT(ack ? source->acked() : source->failed(), ElementsAre(1));
+    EXPECT_THAT(ack ? source->failed() : source->acked(), IsEmpty());
+    EXPECT_EQ(runtime->snapshot().component("in").pending, 0U);
+  }
+}
+
+TEST_F(Reliability, ATupleThatIsAckedWithItsChildrenLeavesTheTreeToAllOfThem) {
+  constexpr int most = 3;
+  start(
+      [this](TopologyBuilder& builder) {
+        builder
+            .set_bolt("parent", bolt(
+                                    [](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                                      for (int child = 0; child < tuple.get<std::int64_t>(0); ++child)
+                                        out.emit(tuple, Values(child));
+                                      out.ack(tuple);
+                                    },
+                                    {"value"}))
+            .shuffle_grouping("in");
+        builder.set_bolt("pass", pass_bolt()).shuffle_grouping("parent");
+        builder.set_bolt("keep", keeper()).shuffle_grouping("pass");
+      },
+      bench.options());
+  std::vector<MessageId> acked;
+  for (int children = 0; children <= most; ++children) {
+    // Each of them in turn is the last one.
+    for (int last = 0; last < std::max(children, 1); ++last) {
+      const std::size_t first = kept.size();
+      source->put(Values(children));
+      ASSERT_EQ(kept.size(), first + static_cast<std::size_t>(children));
+      for (int child = 0; child < children; ++child) {
+        EXPECT_EQ(source->acked(), acked);
+        settle(first + static_cast<std::size_t>((last + 1 + child) % children), true);
+      }
+      acked.push_back(acked.size() + 1);
+      EXPECT_EQ(source->acked(), acked);
+    }
+  }
+  EXPECT_THAT(source->failed(), IsEmpty());
+}
+
+TEST_F(Reliability, ABoltThatThrowsOrFailsAfterItEmittedFailsTheTreeOnceAndItsChildrenSettleIt) {
+  const auto origin = std::make_shared<Reader>();
+  start(
+      [this](TopologyBuilder& builder) {
+        builder
+            .set_bolt("parent", bolt(
+                                    [](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                                      out.emit(tuple, Values(1));
+                                      out.emit(tuple, Values(2));
+                                      if (tuple.get<std::int64_t>(0) == 1) throw std::runtime_error("after it emitted");
+                                      out.fail(tuple);
+                                    },
+                                    {"value"}))
+            .shuffle_grouping("in");
+        builder.set_bolt("keep", keeper()).shuffle_grouping("parent");
+      },
+      bench.options());
+  source->come_from(origin);
+  source->put(Values(1));
+  source->put(Values(2));
+  source->come_from(nullptr);
+  ASSERT_EQ(kept.size(), 4U);
+  EXPECT_THAT(source->failed(), ElementsAre(1, 2));
+  EXPECT_EQ(origin.use_count(), 3) << "both trees, as tuples of theirs are still there";
+  for (std::size_t which = 0; which < kept.size(); ++which) settle(which, true);
+  EXPECT_EQ(origin.use_count(), 1);
+  EXPECT_THAT(source->failed(), ElementsAre(1, 2));
+  EXPECT_THAT(source->acked(), IsEmpty());
 }
 
 TEST_F(Reliability, ATupleIsVoidOnceAnyMessageFromWhichItComesComesAgain) {

@@ -113,9 +113,18 @@ template <bool plain>
   return static_cast<std::size_t>(at - begin);
 }
 
+/// Gives the first child an id of its own, as the others have: the tuple is not acked in its own execute().
+void BoltTask::disinherit(TupleCell& parent) {
+  if (heir_ == nullptr) return;
+  const std::uint64_t id = lane_->random();
+  std::exchange(heir_, nullptr)->first.change = id;
+  parent.first.change ^= id;
+}
+
 /// The bolt keeps the tuple, and answers later.
 void BoltTask::leave_open(TupleCell& cell) {
   ++left_in_chunk_;
+  disinherit(cell);
   detail::Delivery* delivery = cell.tracked() ? cell.open_delivery(this) : nullptr;
   if (delivery == nullptr) return;
   delivery->executed_ns = lane_->now_ns;
@@ -233,12 +242,18 @@ void BoltTask::do_emit(std::string_view stream, std::span<const Tuple> anchors, 
     TupleCell& anchor = *cell_of(anchors.front());
     if (!anchor.tracked()) {
       ++usual_emits_;
-      emitter_.send_usual(*usual, *lane_, std::move(values), nullptr);
+      emitter_.send_usual(*usual, *lane_, std::move(values), nullptr, 0);
       return;
     }
     if (anchor.more == nullptr && anchor.first.is_open_for(this)) {
       ++usual_emits_;
-      anchor.first.change ^= emitter_.send_usual(*usual, *lane_, std::move(values), anchor.tree);
+      if (heir_ == nullptr && &anchor == open_) {
+        heir_ = emitter_.send_usual(*usual, *lane_, std::move(values), anchor.tree, 0);
+        return;
+      }
+      const std::uint64_t id = lane_->random();
+      emitter_.send_usual(*usual, *lane_, std::move(values), anchor.tree, id);
+      anchor.first.change ^= id;
       return;
     }
   }
@@ -308,12 +323,21 @@ void BoltTask::ack(const Tuple& tuple) {
       ++acked_in_chunk_;
       return;
     }
-    if (cell.more == nullptr && cell.first.is_open_for(this) && lane_->settles_at_once(*cell.tree)) [[likely]] {
-      open_ = nullptr;
-      ++acked_in_chunk_;
-      cell.first.executed_ns = detail::Delivery::settled;
-      lane_->settle(*cell.tree, cell.first.change, 0);
-      return;
+    if (cell.more == nullptr && cell.first.is_open_for(this)) [[likely]] {
+      if (heir_ != nullptr) {
+        open_ = nullptr;
+        ++acked_in_chunk_;
+        cell.first.executed_ns = detail::Delivery::settled;
+        std::exchange(heir_, nullptr)->first.change = cell.first.change;
+        return;
+      }
+      if (lane_->settles_at_once(*cell.tree)) [[likely]] {
+        open_ = nullptr;
+        ++acked_in_chunk_;
+        cell.first.executed_ns = detail::Delivery::settled;
+        lane_->settle(*cell.tree, cell.first.change, 0);
+        return;
+      }
     }
   }
   answer(Answer::ack, tuple);  // at the end, as no other function is called: so the usual case needs few registers
@@ -363,7 +387,10 @@ void BoltTask::settle(Answer answer, const Tuple& tuple) {
     return;
   }
   if (cell.tracked() ? delivery == nullptr : (&cell == current_ && open_ == nullptr)) return;  // it was answered before
-  if (&cell == current_) open_ = nullptr;
+  if (&cell == current_) {
+    open_ = nullptr;
+    disinherit(cell);
+  }
   bump(answer == Answer::ack ? counts_.acked : counts_.failed);
   if (delivery == nullptr) return;
   if (delivery->executed_ns != 0) process_latency_.record_ns(real_ns() - delivery->executed_ns);

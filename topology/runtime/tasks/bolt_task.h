@@ -77,6 +77,7 @@ class BoltTask final : public Task, private OutputCollector {
   std::size_t execute_some(std::span<TupleCell* const> cells);
   std::size_t execute_chunk();
   void leave_open(TupleCell& cell);
+  void disinherit(TupleCell& parent);
   bool late(const TupleCell& cell) const;
   void give_up_late(const Tuple& tuple);
   const config::Histogram& process_latency() const {
@@ -108,8 +109,12 @@ class BoltTask final : public Task, private OutputCollector {
 
   // Used only in a slice.
   EmittingLane* lane_ = nullptr;
-  TupleCell* current_ = nullptr;    ///< the tuple in execute()
-  TupleCell* open_ = nullptr;       ///< the same, until the bolt acks or fails it
+  TupleCell* current_ = nullptr;  ///< the tuple in execute()
+  TupleCell* open_ = nullptr;     ///< the same, until the bolt acks or fails it
+  /// The first tuple that was emitted with `open_` as its only anchor, until that one is answered or left open. No one
+  /// has it yet, and its delivery has no id: an ack gives it what the delivery of `open_` has to settle, so that the
+  /// tree need not hear of that one.
+  TupleCell* heir_ = nullptr;
   std::size_t acked_in_chunk_ = 0;  ///< acks of this chunk that are not counted yet
   std::size_t late_in_chunk_ = 0;   ///< tuples of this chunk that were late, so not executed
   std::size_t left_in_chunk_ = 0;   ///< tuples of this chunk that were not answered when execute() returned

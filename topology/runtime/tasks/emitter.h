@@ -68,9 +68,9 @@ class Emitter {
     // The stream's name is the very constant: no characters are compared.
     return stream.data() == default_stream && direct_task == -1 && values.size() == usual_arity_ ? usual_ : nullptr;
   }
-  /// Makes the tuple and puts it on the lane; defined in send.h, as send() is. \param tree null: it is not tracked.
-  /// \return the id of its delivery (0 when not tracked).
-  std::uint64_t send_usual(const Stream& usual, EmittingLane& lane, Values&& values, Tree* tree);
+  /// Makes the tuple and puts it on the lane; defined in send.h. \param tree null: it is not tracked. \param id of its
+  /// delivery, if it is. \return the tuple, which is the lane's until the next flush.
+  TupleCell* send_usual(const Stream& usual, EmittingLane& lane, Values&& values, Tree* tree, std::uint64_t id);
 
   /// Checks the arguments and chooses the receivers. \throws std::invalid_argument when stream, task or values do not
   /// fit. \param direct_task the receiving task, for emit_direct; -1: the groupings choose.

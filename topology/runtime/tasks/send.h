@@ -23,18 +23,16 @@ namespace iotcloud::topology::internal {
   return cell;
 }
 
-[[gnu::always_inline]] inline std::uint64_t Emitter::send_usual(const Stream& usual, EmittingLane& lane,
-                                                                Values&& values, Tree* tree) {
+[[gnu::always_inline]] inline TupleCell* Emitter::send_usual(const Stream& usual, EmittingLane& lane, Values&& values,
+                                                             Tree* tree, std::uint64_t id) {
   const Receiver target = usual.choose(values);
   TupleCell* cell = make_cell(lane.cells(), usual, std::move(values), 0);
-  std::uint64_t id = 0;
   if (tree != nullptr) {
-    id = lane.random();
     cell->tree = tree;
     cell->add_delivery(target.task, id);
   }
   lane.put(target, cell);
-  return id;
+  return cell;
 }
 
 }  // namespace iotcloud::topology::internal

@@ -224,9 +224,9 @@ void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, cons
   if (usual == nullptr || !OwnCall::is_of(*this) || taps_.any()) return emit_any(stream, std::move(values), task, id);
   ++usual_emits_;
   Tree* const tree = id != nullptr ? make_tree(*id) : nullptr;
-  const std::uint64_t delivery = emitter_.send_usual(*usual, *lane_, std::move(values), tree);
+  emitter_.send_usual(*usual, *lane_, std::move(values), tree, Tree::only_root);
   if (tree != nullptr) {
-    tree->open = delivery;
+    tree->open = Tree::only_root;
     track(*tree);
   } else if (id != nullptr) {
     acked_at_once_.push_back(*id);

@@ -19,15 +19,18 @@ class Task;
 /// The tree of tuples that grows from one tracked emit of a spout: Storm's XOR acker, which is the spout's task itself.
 /// `open` is the XOR of the random ids of all deliveries that are not settled, so it is zero when all are settled (and,
 /// with a probability of 2^-64, by chance before). Settling a delivery changes `open` exactly once, by its own id and
-/// the ids of its children together. Only the slices of its task change a tree: bolts send them Settlements. So no
-/// change needs an atomic operation. The tree is recycled when its task has told the spout of its end and all
-/// deliveries are settled.
+/// the ids of its children together. A tuple that is acked in the very call that emitted its first child leaves all of
+/// that to this child, and changes nothing: so a chain of bolts settles a tree once, at its end. Only the slices of its
+/// task change a tree: bolts send them Settlements. So no change needs an atomic operation. The tree is recycled when
+/// its task has told the spout of its end and all deliveries are settled.
 struct alignas(64) Tree {
   static constexpr std::uint8_t failed = 1;
   /// A bolt dropped a tuple without ack or fail: only the time-out ends the tree.
   static constexpr std::uint8_t lost = 2;
   /// With `failed`: something is wrong with the message, so that its spout counts the try.
   static constexpr std::uint8_t blamed = 4;
+  /// The id of a root's delivery when it has one receiver: no other delivery of the tree has one that is not random.
+  static constexpr std::uint64_t only_root = 1;
 
   // Constant while deliveries are open, for any thread; and the one thing that any thread changes.
   SpoutTask* owner = nullptr;
@@ -153,8 +156,8 @@ void for_each_trace(const TupleCell& cell, Call&& call) {
   });
 }
 
-// All that a tuple of one value and one receiver needs is in two cache lines. The values, which are the last member, have
-// room for four.
+// All that a tuple of one value and one receiver needs is in two cache lines. The values, which are the last member,
+// have room for four.
 static_assert(alignof(TupleCell) == 64 && sizeof(detail::TupleData) - 3 * sizeof(Value) <= 2 * 64);
 
 using CellList = FlatList<TupleCell*>;
