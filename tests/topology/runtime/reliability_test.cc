@@ -116,6 +116,37 @@ TEST_F(Reliability, ATupleThatIsAnsweredAfterItsChildrenHoldsTheTreeUntilThen) {
   }
 }
 
+TEST_F(Reliability, ATupleThatIsAckedLaterLeavesTheTreeToTheChildrenThatAreNotSettled) {
+  Tuple parent;
+  OutputCollector* of_parent = nullptr;
+  start(
+      [&](TopologyBuilder& builder) {
+        builder
+            .set_bolt("parent", bolt(
+                                    [&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
+                                      for (int child = 0; child < 2; ++child) out.emit(tuple, Values(child));
+                                      of_parent = &out;
+                                      parent = tuple;
+                                    },
+                                    {"value"}))
+            .shuffle_grouping("in");
+        builder.set_bolt("keep", keeper()).shuffle_grouping("parent");
+      },
+      bench.options());
+  for (const std::size_t last : {0U, 1U}) {
+    const std::size_t first = kept.size();
+    source->put(Values(1));
+    ASSERT_EQ(kept.size(), first + 2);
+    settle(first + 1 - last, true);
+    of_parent->ack(parent);
+    runtime->run_until_idle();
+    EXPECT_EQ(source->acked().size(), last) << "one child is not settled";
+    settle(first + last, true);
+    EXPECT_EQ(source->acked().size(), last + 1);
+  }
+  parent = Tuple();
+}
+
 TEST_F(Reliability, ATupleThatIsAckedWithItsChildrenLeavesTheTreeToAllOfThem) {
   constexpr int most = 3;
   start(
@@ -175,7 +206,9 @@ TEST_F(Reliability, ABoltThatThrowsOrFailsAfterItEmittedFailsTheTreeOnceAndItsCh
   ASSERT_EQ(kept.size(), 4U);
   EXPECT_THAT(source->failed(), ElementsAre(1, 2));
   EXPECT_EQ(origin.use_count(), 3) << "both trees, as tuples of theirs are still there";
-  for (std::size_t which = 0; which < kept.size(); ++which) settle(which, true);
+  for (const std::size_t which : {1U, 3U}) settle(which, true);
+  EXPECT_EQ(origin.use_count(), 3) << "the first child of each is not settled";
+  for (const std::size_t which : {0U, 2U}) settle(which, true);
   EXPECT_EQ(origin.use_count(), 1);
   EXPECT_THAT(source->failed(), ElementsAre(1, 2));
   EXPECT_THAT(source->acked(), IsEmpty());

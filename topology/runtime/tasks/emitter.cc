@@ -42,7 +42,7 @@ void Emitter::set_up(std::vector<OutStream> streams, const std::vector<BoltTask*
 }
 
 Emitter::Stream& Emitter::find(std::string_view name) {
-  if (name.data() == default_stream && default_ != nullptr) return *default_;
+  if (is_default(name) && default_ != nullptr) return *default_;
   for (Stream& stream : streams_) {
     if (stream.out.info->stream == name) return stream;
   }

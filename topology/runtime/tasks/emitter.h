@@ -1,8 +1,11 @@
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
+#include <cstring>
 #include <memory>
 #include <span>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -14,6 +17,14 @@ namespace iotcloud::topology::internal {
 class BoltTask;
 class EmittingLane;
 class Task;
+
+/// Whether a stream's name is that of the default stream. What is linked with the runtime gives the very constant, as a
+/// rule; a component library that is loaded has a copy of its characters.
+[[gnu::always_inline]] inline bool is_default(std::string_view stream) {
+  constexpr std::size_t size = std::char_traits<char>::length(default_stream);
+  return stream.data() == default_stream ||
+         (stream.size() == size && std::memcmp(stream.data(), default_stream, size) == 0);
+}
 
 /// A task that gets tuples, with its id, which the emitting lane needs first.
 struct Receiver {
@@ -65,8 +76,7 @@ class Emitter {
   /// instructions, what choose() and send() do in two. \return null: the emit is another one. Otherwise the stream, for
   /// send_usual().
   [[gnu::always_inline]] const Stream* usual(std::string_view stream, const Values& values, int direct_task) const {
-    // The stream's name is the very constant: no characters are compared.
-    return stream.data() == default_stream && direct_task == -1 && values.size() == usual_arity_ ? usual_ : nullptr;
+    return is_default(stream) && direct_task == -1 && values.size() == usual_arity_ ? usual_ : nullptr;
   }
   /// Makes the tuple and puts it on the lane; defined in send.h. \param tree null: it is not tracked. \param id of its
   /// delivery, if it is. \return the tuple, which is the lane's until the next flush.
