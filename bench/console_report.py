@@ -24,6 +24,7 @@ from private_cluster import StartError, cpu_seconds, free_port, result_of, wait_
 PAGES = 10
 PROBE_RATE, PROBE_S, WARM_UP = 100, 20, 100
 PAINTS, PAINTS_LIMIT_S = 9, 300
+ROWS = 5000  # instances on the fleet's page
 NOISE = 1.25  # the largest ratio of two p99 of the same load, with a little room; the line "no page, twice" has that of this run
 CPU_LIMIT_PERCENT, PAINT_LIMIT_MS, PAGE_LIMIT_KB = 5, 300, 300
 # What the console's pages ask for: most people keep the overview open.
@@ -97,17 +98,17 @@ class ConsoleFleet(Fleet):
         return result["latency_us"]["p99"], cpu, pages.bytes / 1000 / took
 
 
-def paints(url):
-    """How soon Chromium paints the figures of the overview, in ms."""
+def paints(url, *fleet):
+    """What new profiles of Chromium take until they have painted, in ms: lists by what (console_paints.mjs)."""
     try:
         packages = npm_packages.packages()
     except npm_packages.Unavailable as problem:
         raise StartError(str(problem)) from problem
     try:
-        done = subprocess.run(["node", HERE / "console_paints.mjs", packages / "node_modules", url, str(PAINTS)], capture_output=True,
-                              text=True, timeout=PAINTS_LIMIT_S)
+        done = subprocess.run(["node", HERE / "console_paints.mjs", packages / "node_modules", url, str(PAINTS), *map(str, fleet)],
+                              capture_output=True, text=True, timeout=PAINTS_LIMIT_S)
     except subprocess.TimeoutExpired as late:
-        raise StartError(f"the overview was not painted {PAINTS} times within {late.timeout} s") from late
+        raise StartError(f"the console's pages were not painted {PAINTS} times within {late.timeout} s") from late
     if done.returncode:
         raise StartError(done.stderr.strip()[-1000:])
     return json.loads(done.stdout)
@@ -134,7 +135,11 @@ def run_console(given):
                 report.compare(f"{title}: master", "% CPU", [cpu for _, cpu, _ in some], "no page", [cpu for _, cpu, _ in none[1:]],
                                at_most=CPU_LIMIT_PERCENT)
                 report.compare(f"{title}: sent to pages", "KB/s", [sent for _, _, sent in some])
-                report.compare("first paint of the overview", "ms", paints(fleet.url), at_most=PAINT_LIMIT_MS)
+                report.compare("first paint of the overview", "ms", paints(fleet.url)["overview"], at_most=PAINT_LIMIT_MS)
+                fleet.deploy_all((ROWS - LOADED) // 2, {"size": SIZE, "rate": 0.01, "shared": "true"})
+                times = paints(fleet.url, ROWS, 'gateway == "gateway-2"', f"{ROWS // 2} instances")
+                for what, of in (("all rows known, the first painted", "rows"), ("a jump within them", "scroll"), ("the half, filtered", "filter")):
+                    report.compare(f"{ROWS} instances on the fleet's page: {what}", "ms", times[of])
                 fleet.require_alive()
         except (StartError, SystemExit, OSError) as failure:  # wait_for() ends a test
             report.fail(f"GIVEN UP: {failure}")
