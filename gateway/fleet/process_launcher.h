@@ -20,9 +20,9 @@
 #include <iotcloud/processes/child_starter.h>
 #include <iotcloud/processes/confinement.h>
 #include <iotcloud/processes/places.h>
-#include <iotcloud/processes/plugin_versions.h>
 #include <iotcloud/processes/process_settings.h>
 #include <iotcloud/processes/vitals.h>
+#include <iotcloud/security/plugin_versions.h>
 
 namespace iotcloud::gateway {
 
@@ -39,8 +39,8 @@ class ProcessLauncher final : public HostLauncher {
     std::shared_ptr<processes::PluginStore> store;       ///< the uploaded plugins; null: there are none
     std::shared_ptr<const security::TrustedKeys> trust;  ///< null: no signature is required
     bool trust_folder = false;                           ///< as in PluginSource()
-    std::vector<std::string> allow_rollback;             ///< as in processes::PluginVersions
-    bool require_version = false;                        ///< as in processes::PluginVersions
+    std::vector<std::string> allow_rollback;             ///< as in security::PluginVersions
+    bool require_version = false;                        ///< as in security::PluginVersions
     std::string state_dir;                               ///< the path of a locked StateFolder
     std::string host_program;  ///< empty: iotcloud-driver-host beside this process's own program
     std::chrono::milliseconds ping_period{1000};
@@ -92,7 +92,7 @@ class ProcessLauncher final : public HostLauncher {
 
   Options options_;
   PluginSource source_;
-  processes::PluginVersions versions_;
+  security::PluginVersions versions_;
   const HostProofs proofs_;
   const processes::ChildStarter starter_;
   std::shared_ptr<BrokerFiles> broker_files_;  ///< null: hosts are not confined to files, and read the files themselves

@@ -28,7 +28,7 @@ STAMPS_OF_OTHERS = {
     "brokers/kafka/reading/partition_reader.cc": "a message's deadline, which its sender wrote",
     "brokers/kafka/record.cc": "a message's time stamp, which its driver wrote",
     "brokers/spool/spool_queue.cc": "the age of messages that an earlier process accepted",
-    "processes/plugin_versions.cc": "when a version first ran outlives the process",
+    "security/plugin_versions.cc": "when a version first ran outlives the process",
     "gateway/order_feed.cc": "an order says when its master gave it",
     "config/output/output.cc": "the age of records that other processes wrote",
     "master/orders/order_book.cc": "two orders of one master never have the same time",

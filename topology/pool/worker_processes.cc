@@ -51,7 +51,7 @@ WorkerProcesses::WorkerProcesses(Options options)
     if (const auto* account = starter_.account()) account->let_pass(folder);
   }
   if (!options_.require_version) return;
-  processes::PluginVersions::Options versions;
+  security::PluginVersions::Options versions;
   versions.file = options_.state_dir + "/library-versions";
   versions.allow_rollback = options_.allow_rollback;
   versions.require_version = true;
@@ -84,7 +84,7 @@ std::string WorkerProcesses::checked_library(const discovery::SentLibrary& libra
   if (!versions_ || signer.empty() || goes_back) return *path;
   try {
     versions_->admit(library.file, security::parse_plugin_signature(signature), false);
-  } catch (const processes::VersionRefused& refused) {
+  } catch (const security::VersionRefused& refused) {
     throw WorkerRefused(refused.what());
   }
   return *path;

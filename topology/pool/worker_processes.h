@@ -9,9 +9,9 @@
 #include <iotcloud/processes/child_process.h>
 #include <iotcloud/processes/child_starter.h>
 #include <iotcloud/processes/plugin_store.h>
-#include <iotcloud/processes/plugin_versions.h>
 #include <iotcloud/processes/process_settings.h>
 #include <iotcloud/processes/vitals.h>
+#include <iotcloud/security/plugin_versions.h>
 #include <iotcloud/security/trusted_keys.h>
 #include <iotcloud/topology/pool/worker_launcher.h>
 
@@ -70,7 +70,7 @@ class WorkerProcesses final : public WorkerLauncher {
 
   const Options options_;
   const processes::ChildStarter starter_;
-  std::optional<processes::PluginVersions> versions_;  ///< nullopt: they are not looked at
+  std::optional<security::PluginVersions> versions_;  ///< nullopt: they are not looked at
 };
 
 }  // namespace iotcloud::topology

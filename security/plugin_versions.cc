@@ -8,10 +8,10 @@
 
 #include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
-#include <iotcloud/processes/logger.h>
-#include <iotcloud/processes/plugin_versions.h>
+#include <iotcloud/security/logger.h>
+#include <iotcloud/security/plugin_versions.h>
 
-namespace iotcloud::processes {
+namespace iotcloud::security {
 
 namespace {
 
@@ -57,7 +57,7 @@ PluginVersions::Known PluginVersions::known(const std::string& name) const {
   return found == known_.end() ? Known{} : found->second;
 }
 
-void PluginVersions::learn(const security::PluginSignature& signature, bool of_update) {
+void PluginVersions::learn(const PluginSignature& signature, bool of_update) {
   AllKnown next = known_;
   Known& fresh = next[signature.name];
   fresh = {signature.version, fresh.newest, of_update ? clock_.wall_ms() : 0};
@@ -75,7 +75,7 @@ void PluginVersions::learn(const security::PluginSignature& signature, bool of_u
   written_.notify_all();
 }
 
-void PluginVersions::admit(const std::string& plugin, const security::PluginSignature& signature, bool of_update) {
+void PluginVersions::admit(const std::string& plugin, const PluginSignature& signature, bool of_update) {
   const config::MutexLock lock(mutex_);
   if (signature.version == 0) return refuse_without_version(plugin);
   while (signature.version > known(signature.name).newest) {
@@ -87,8 +87,8 @@ void PluginVersions::admit(const std::string& plugin, const security::PluginSign
   const bool goes_back = signature.version == known.before && known.since_ms != 0;
   if (goes_back && clock_.wall_ms() - known.since_ms < options_.way_back.count()) return;
   if (may_go_back(signature.name)) {
-    logger.warn("{}: version {} runs although version {} ran here, as {}.allow_rollback says", plugin,
-                signature.version, known.newest, options_.keys);
+    keys_logger.warn("{}: version {} runs although version {} ran here, as {}.allow_rollback says", plugin,
+                     signature.version, known.newest, options_.keys);
     return;
   }
   throw VersionRefused(
@@ -104,4 +104,4 @@ void PluginVersions::write(const AllKnown& known) const {
   config::replace_file(options_.file, text, for_this_daemon);
 }
 
-}  // namespace iotcloud::processes
+}  // namespace iotcloud::security

@@ -6,16 +6,14 @@
 
 #include <gmock/gmock.h>
 
-#include <iotcloud/processes/plugin_versions.h>
+#include <iotcloud/security/plugin_versions.h>
 #include <iotcloud/tests/eventually.h>
 #include <iotcloud/tests/security/key_folder.h>
 #include <iotcloud/tests/sync_calls.h>
 
-namespace iotcloud::processes {
+namespace iotcloud::security {
 namespace {
 
-using security::error_of;
-using security::PluginSignature;
 using ::testing::AnyOf;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
@@ -27,7 +25,7 @@ struct VersionsClock final : config::Clock {
   std::int64_t ms = 1'000'000;
 };
 
-class PluginVersionsTest : public security::KeyFolder {
+class PluginVersionsTest : public KeyFolder {
  protected:
   PluginVersions versions() const { return PluginVersions(options_, clock_); }
   static std::string refusal(PluginVersions& versions, std::uint64_t version, const std::string& file = "turtle.so",
@@ -124,4 +122,4 @@ TEST_F(PluginVersionsTest, ADamagedFileIsNotTakenForAnEmptyOne) {
 }
 
 }  // namespace
-}  // namespace iotcloud::processes
+}  // namespace iotcloud::security

@@ -11,7 +11,7 @@
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/security/plugin_signature.h>
 
-namespace iotcloud::processes {
+namespace iotcloud::security {
 
 /// A plugin that must not run here, whatever becomes of the disk or the memory.
 struct VersionRefused : config::Error {
@@ -39,8 +39,7 @@ class PluginVersions {
   /// Takes note that a plugin is about to run. \param plugin its file, such as turtle.so. \param signature one that a
   /// trusted key made. \param of_update the order is one of an update.
   /// \throws VersionRefused if it must not run, with the reason; config::Error if the note cannot be written
-  void admit(const std::string& plugin, const security::PluginSignature& signature, bool of_update)
-      IOTCLOUD_EXCLUDES(mutex_);
+  void admit(const std::string& plugin, const PluginSignature& signature, bool of_update) IOTCLOUD_EXCLUDES(mutex_);
 
  private:
   struct Known {
@@ -52,7 +51,7 @@ class PluginVersions {
   bool may_go_back(const std::string& name) const;
   Known known(const std::string& name) const IOTCLOUD_REQUIRES(mutex_);
   /// Takes note of a version that is newer than all that ran. Releases the mutex while it writes the file.
-  void learn(const security::PluginSignature& signature, bool of_update) IOTCLOUD_REQUIRES(mutex_);
+  void learn(const PluginSignature& signature, bool of_update) IOTCLOUD_REQUIRES(mutex_);
   void write(const AllKnown& known) const IOTCLOUD_EXCLUDES(mutex_);
 
   const Options options_;
@@ -63,4 +62,4 @@ class PluginVersions {
   bool writing_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< a thread writes the file
 };
 
-}  // namespace iotcloud::processes
+}  // namespace iotcloud::security
