@@ -36,6 +36,21 @@ PagePluginSettings read_page_plugins(config::YamlSection& section) {
   keys.trusted_keys = section.strings_or("trusted_keys", {});
   section.check(keys.trusted_keys.empty() ? "require_signature" : "trusted_keys",
                 [&] { settings.signers = std::make_shared<security::TrustedKeys>(keys); });
+  security::PluginVersions::Options versions;
+  versions.file = section.string_or("versions", "");
+  versions.allow_rollback = section.strings_or("allow_rollback", {});
+  versions.require_version = section.bool_or("require_version", false);
+  versions.keys = "console.pages";
+  if (versions.file.empty()) {
+    for (const auto* const key : {"require_version", "allow_rollback"}) {
+      if (section.has(key))
+        section.refuse(key, "without `versions` no version is remembered", "versions: FILE, which the master writes");
+    }
+    return settings;
+  }
+  if (!keys.require_signature)
+    section.refuse("versions", "versions are in signatures, which pages need not have here", "require_signature: true");
+  section.check("versions", [&] { settings.versions = std::make_shared<security::PluginVersions>(versions); });
   return settings;
 }
 

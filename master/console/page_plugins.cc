@@ -108,8 +108,11 @@ PagePlugins::Page PagePlugins::read(const std::string& name, const std::string& 
       throw config::Error(fmt::format("it has more than {} bytes", most_script_bytes));
     // What it says of itself is read once its signature, if one is required, is known to be good.
     if (settings_.signers) {
-      const auto signature = bytes_of(file + ".sig", security::most_plugin_signature_bytes);
-      page.listed.signed_by = settings_.signers->admit(name + std::string(ending), *script, signature.value_or(""));
+      const auto signature = bytes_of(file + ".sig", security::most_plugin_signature_bytes).value_or("");
+      const auto plugin = name + std::string(ending);
+      page.listed.signed_by = settings_.signers->admit(plugin, *script, signature);
+      if (settings_.versions && !page.listed.signed_by.empty())
+        settings_.versions->admit(plugin, security::parse_plugin_signature(signature), false);
     }
     const auto [title, driver] = read_head(*script);
     page.listed.title = title;

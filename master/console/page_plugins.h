@@ -6,14 +6,18 @@
 #include <vector>
 
 #include <iotcloud/config/mutex.h>
+#include <iotcloud/security/plugin_versions.h>
 #include <iotcloud/security/trusted_keys.h>
 
 namespace iotcloud::master {
 
-/// Where pages for robots are, and who may sign them.
+/// Where pages for robots are, who may sign them, and which of their versions may be shown.
 struct PagePluginSettings {
   std::vector<std::string> folders;                        ///< empty: there are no such pages
   std::shared_ptr<const security::TrustedKeys> signers{};  ///< null: no key is trusted, and none needs a signature
+  /// Keeps the versions of signed pages that were shown, so that an older one is not shown again; null: versions in
+  /// signatures are not looked at.
+  std::shared_ptr<security::PluginVersions> versions{};
 };
 
 /// Pages of robots, each a plugin of the console: a script NAME.js, and its signature NAME.js.sig if it is signed. The

@@ -84,6 +84,10 @@ TEST(MasterConfig, TheConsoleIsOffWithoutItsKeyAndForOtherMachinesOnlyWithTlsAnd
   EXPECT_THAT(console("address: \"127.0.0.1:1\", pages: {folder: /none}"), HasSubstr("is no folder"));
   EXPECT_THAT(console("address: \"127.0.0.1:1\", pages: {folder: /tmp, require_signature: true}"),
               AllOf(HasSubstr("console.pages.require_signature"), HasSubstr("trust")));
+  EXPECT_THAT(console("address: \"127.0.0.1:1\", pages: {folder: /tmp, versions: /tmp/versions}"),
+              AllOf(HasSubstr("console.pages.versions"), HasSubstr("require_signature")));
+  EXPECT_THAT(console("address: \"127.0.0.1:1\", pages: {folder: /tmp, require_version: true}"),
+              AllOf(HasSubstr("console.pages.require_version"), HasSubstr("versions: FILE")));
 }
 
 TEST(MasterConfig, OnlyTheRegistryIsNeeded) {

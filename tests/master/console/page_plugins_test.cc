@@ -1,3 +1,4 @@
+#include <cstdint>
 #include <filesystem>
 #include <fstream>
 #include <memory>
@@ -9,6 +10,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/master/console/page_plugins.h>
 #include <iotcloud/security/ed25519.h>
+#include <iotcloud/security/plugin_signature.h>
 #include <iotcloud/tests/temporary_folder.h>
 
 namespace iotcloud::master {
@@ -35,9 +37,22 @@ class PagePluginsTest : public testing::Test {
   void sign(const std::string& name, const std::string& text) const {
     write_page(name + ".sig", security::sign(keys_.private_pem, "the test", text));
   }
+  void sign(const std::string& name, const std::string& text, std::uint64_t version) const {
+    write_page(name + ".sig", security::sign_plugin(keys_.private_pem, "the test", text, "robot", version));
+  }
   PagePlugins pages(bool signed_only) const {
     security::TrustedKeys::Options options{signed_only, {folder_ / "lab.pub"}};
     return PagePlugins({{folder_ / "pages"}, std::make_shared<security::TrustedKeys>(options)});
+  }
+  /// Pages of a master that remembers their versions, as it does after a restart.
+  PagePlugins remembered() const {
+    security::PluginVersions::Options options;
+    options.file = folder_ / "page-versions";
+    options.keys = "console.pages";
+    return PagePlugins(
+        {{folder_ / "pages"},
+         std::make_shared<security::TrustedKeys>(security::TrustedKeys::Options{true, {folder_ / "lab.pub"}}),
+         std::make_shared<security::PluginVersions>(options)});
   }
   static std::string problem_of(const PagePlugins& pages, const std::string& name) {
     try {
@@ -102,6 +117,28 @@ TEST_F(PagePluginsTest, ThatAreReplacedCountAtOnce) {
   EXPECT_NE(problem_of(strict, "late"), "");
   sign("late.js", good_page);
   EXPECT_EQ(problem_of(strict, "late"), "");
+}
+
+TEST_F(PagePluginsTest, OfAnOlderVersionThanOneThatWasShownAreNotShownAlsoUnderAnotherNameAndAfterARestart) {
+  const std::string newer = good_page + "newer();";
+  write_page("robot.js", good_page);
+  sign("robot.js", good_page, 1);
+  EXPECT_EQ(problem_of(remembered(), "robot"), "");
+  write_page("robot.js", newer);
+  sign("robot.js", newer, 2);
+  EXPECT_EQ(problem_of(remembered(), "robot"), "");
+  const auto again = remembered();
+  for (const std::string name : {"robot", "other"}) {
+    write_page(name + ".js", good_page);
+    sign(name + ".js", good_page, 1);
+    EXPECT_THAT(problem_of(again, name), AllOf(HasSubstr("version 1 of robot is older than version 2"),
+                                               HasSubstr("console.pages.allow_rollback")))
+        << name;
+  }
+  for (const auto& page : again.list()) EXPECT_EQ(page.driver, "") << "what it says of itself is not read";
+  sign("robot.js", good_page);
+  EXPECT_THAT(problem_of(again, "robot"), HasSubstr("signed without a version"));
+  EXPECT_EQ(problem_of(pages(true), "other"), "") << "without a memory any signed version is shown";
 }
 
 TEST_F(PagePluginsTest, ThatAreNoneAreRefusedWithTheReason) {
