@@ -49,6 +49,10 @@ std::string answer_of(const DriverHistory& history) {
   return discovery::to_text(discovery::to_json<OrderedJson>(history));
 }
 
+std::string answer_of(const GatewayPlugins& plugins) {
+  return discovery::to_text(discovery::to_json<OrderedJson>(plugins));
+}
+
 std::string answer_of(discovery::ChannelLook look) {
   for (auto& message : look.messages) message.payload = base64(message.payload);
   return discovery::to_text(discovery::to_json<OrderedJson>(look));

@@ -17,6 +17,7 @@ namespace iotcloud::master {
 std::string answer_of(const OrderResult& result);
 std::string answer_of(const TopologyResult& result);
 std::string answer_of(const DriverHistory& history);
+std::string answer_of(const GatewayPlugins& plugins);
 /// Payloads are base64.
 std::string answer_of(discovery::ChannelLook look);
 

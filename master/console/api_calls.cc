@@ -102,6 +102,11 @@ std::string order_of(OwnClient& client, const nlohmann::json& given) {
   throw config::Error("there is no order for this instance");
 }
 
+std::string plugins(OwnClient& client, const nlohmann::json& given) {
+  return answer_of(discovery::as_own<GatewayPlugins>(
+      client.ask(&Client::send_listPlugins, &Client::recv_listPlugins, texts_of(given, "gateways"))));
+}
+
 std::string topology_history(OwnClient& client, const nlohmann::json& given) {
   Json events = Json::array();
   for (auto& event :
@@ -134,15 +139,11 @@ class ApiCalls final : public ConsoleCalls {
 
   std::string call(const ConsoleCaller& caller, const std::string& call, const std::string& json) override {
     static const std::map<std::string, std::string (*)(OwnClient&, const nlohmann::json&)> calls{
-        {"order", order},
-        {"topology", order_topology},
-        {"history", history},
-        {"log", log},
-        {"look", look},
-        {"order_of", order_of},
-        {"status", status},
-        {"worker", worker_page},
-        {"topology_history", topology_history}};
+        {"order", order},        {"topology", order_topology},
+        {"history", history},    {"log", log},
+        {"look", look},          {"order_of", order_of},
+        {"plugins", plugins},    {"status", status},
+        {"worker", worker_page}, {"topology_history", topology_history}};
     const auto found = calls.find(call);
     if (found == calls.end()) throw config::Error("the console has no call \"" + call + "\"");
     const auto given = read_arguments(call, json);

@@ -21,7 +21,10 @@ using std::chrono::milliseconds;
 constexpr std::size_t rows_at_once = 500, most_shown_faults = 100;
 constexpr std::size_t largest_page = std::size_t{8} << 20U;
 /// Of a task's counts, those that are told of some time ago, too.
-constexpr std::array remembered_counts{"emitted", "transferred", "executed", "acked", "failed", "timed_out", "errors"};
+constexpr std::array remembered_counts{"emitted",   "transferred", "executed", "acked",     "failed",
+                                       "timed_out", "errors",      "late",     "superseded"};
+/// And those that say that tuples were lost. What `keep_last` replaced is not lost: the topology's author wants it so.
+constexpr std::array lost_counts{"late", "timed_out", "failed", "errors"};
 /// Of Options::remember: how long ago.
 constexpr std::array former_spans{1, 18, 144};
 /// A look may take this part of the time at most.
@@ -42,6 +45,7 @@ Json row_of(const discovery::DriverRecord& driver) {
            {"metadata", driver.metadata},
            {"channels", driver.channels.size()}};
   if (driver.starts_again) row["starts_again"] = true;
+  if (!driver.made_by.empty()) row["made_by"] = driver.made_by;
   return row;
 }
 
@@ -205,6 +209,7 @@ std::string Live::state_of(const std::string& problem) const {
                                  {"instances", all},
                                  {"counts", counts},
                                  {"faults", std::move(faults)},
+                                 {"losses", losses()},
                                  {"number_of_faults", number_of_faults}});
 }
 
@@ -317,6 +322,7 @@ void Live::read_pages(bool sample) {
   }
   if (!sample) return;
   remember(now);
+  note_losses(now);
   add_point(now);
 }
 
@@ -389,6 +395,38 @@ Json Live::former(const discovery::TopologyName& topology) const {
     if (newest == found->second.rend()) break;
     all.push_back({{"span_ms", span.count()}, {"components", newest->components}});
   }
+  return all;
+}
+
+/// Compares with the last point. A topology that is new or began again has lost nothing yet.
+void Live::note_losses(const std::map<std::string, Counted>& now) {
+  const auto at = clock_.now();
+  const config::MutexLock lock(mutex_);
+  std::erase_if(losses_, [&](const auto& loss) {
+    return !now.contains(loss.first.first) || at - loss.second.last >= options_.remind;
+  });
+  for (const auto& [topology, counted] : now) {
+    const auto before = counted_.find(topology);
+    if (before == counted_.end()) continue;
+    for (const auto& [component, counts] : counted.components) {
+      const auto then = before->second.components.find(component);
+      if (then == before->second.components.end()) continue;
+      for (const char* const key : lost_counts) {
+        const auto count = counts.at(key), former = then->second.at(key);
+        if (count <= former) continue;
+        auto& loss = losses_.try_emplace({topology, component}, Loss{{}, clock_.wall_ms(), at}).first->second;
+        loss.counts[key] += count - former;
+        loss.last = at;
+      }
+    }
+  }
+}
+
+Json Live::losses() const {
+  Json all = Json::array();
+  for (const auto& [where, loss] : losses_)
+    all.push_back(
+        {{"topology", where.first}, {"component", where.second}, {"since_ms", loss.since_ms}, {"counts", loss.counts}});
   return all;
 }
 

@@ -34,7 +34,8 @@ namespace iotcloud::master {
 /// has changed), `rows` ({"reset", "set": [instance...], "gone": [{"gateway", "instance"}...]}: what has changed of the
 /// instances that the page has selected), `series` (points of the last hour, then each new one), `topology` (the pages
 /// of its workers, every two seconds, and `former`: what its components had counted some time ago), `over` (the session
-/// has ended).
+/// has ended). `losses` of `state`: the topologies' components that lost tuples of late ({"topology", "component",
+/// "since_ms", "counts": {"late", "timed_out", "failed", "errors"}}).
 class Live {
  public:
   /// What it looks at. Each call may block and throw config::Error. They outlive this.
@@ -55,6 +56,8 @@ class Live {
     /// Between two countings of a topology's components that are remembered; their counts are told since one, 18 and
     /// 144 of these (ten minutes, three hours, a day).
     std::chrono::milliseconds remember{600'000};
+    /// A component that has lost tuples is told of until so long after the last one.
+    std::chrono::milliseconds remind{60'000};
   };
   explicit Live(Source source) : Live(std::move(source), Options()) {}
   /// \param clock outlives this
@@ -112,6 +115,13 @@ class Live {
     std::map<double, std::uint64_t> complete;  ///< by the buckets' upper ends, in microseconds
     Components components;
   };
+  /// What a component lost since `since_ms`.
+  struct Loss {
+    Counts counts;
+    std::int64_t since_ms = 0;
+    config::Clock::Instant last;
+  };
+  using Losses = std::map<Key, Loss>;  ///< by topology and component
   using Followers = std::list<Follower>;
 
   void look_on(const std::stop_token& stop);
@@ -126,6 +136,8 @@ class Live {
   void remember(const std::map<std::string, Counted>& now);
   nlohmann::ordered_json former(const discovery::TopologyName& topology) const;
   void add_point(const std::map<std::string, Counted>& now) IOTCLOUD_EXCLUDES(mutex_);
+  void note_losses(const std::map<std::string, Counted>& now) IOTCLOUD_EXCLUDES(mutex_);
+  nlohmann::ordered_json losses() const IOTCLOUD_REQUIRES(mutex_);
 
   const Source source_;
   const Options options_;
@@ -137,6 +149,7 @@ class Live {
   Text state_ IOTCLOUD_GUARDED_BY(mutex_);  ///< the event that was sent last
   bool looked_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   std::deque<Point> points_ IOTCLOUD_GUARDED_BY(mutex_);
+  Losses losses_ IOTCLOUD_GUARDED_BY(mutex_);
   // Used by the thread that reads pages.
   std::map<std::string, Counted> counted_;
   config::Clock::Instant counted_at_{};

@@ -61,6 +61,7 @@ class LocalCalls final : public master::ConsoleCalls {
     if (call == "look") return look(given);
     if (call == "order_of") return order_of(given);
     if (call == "worker") return worker_page(given);
+    if (call == "plugins") return plugins(given);
     if (call == "log") {
       const auto part = RecentLines::read(master::text_of(given, "position"), most_log_bytes);
       return discovery::to_text(Json{{"text", part.text}, {"position", part.position}});
@@ -105,6 +106,15 @@ class LocalCalls final : public master::ConsoleCalls {
         return discovery::to_text(discovery::to_json<Json>(placed.order));
     }
     throw config::Error("there is no order for this instance");
+  }
+
+  std::string plugins(const nlohmann::json& given) {
+    master::GatewayPlugins all;
+    for (const auto& id : master::texts_of(given, "gateways")) {
+      for (auto& plugin : find(id).known_plugins())
+        all.plugins.push_back({discovery::GatewayId(id), std::move(plugin)});
+    }
+    return master::answer_of(all);
   }
 
   std::string worker_page(const nlohmann::json& given) {

@@ -124,6 +124,7 @@ class ConsoleTest : public testing::Test {
     options.live.sample = 20ms;
     options.live.beat = 20ms;
     options.live.remember = 20ms;
+    options.live.remind = remind_;
     if (with_tokens) {
       token_ = security::add_token(folder_ / "tokens", "anna", security::Role::viewer);
       options.tokens = std::make_shared<security::TokenKeeper>(folder_ / "tokens");
@@ -155,6 +156,7 @@ class ConsoleTest : public testing::Test {
 
   const tests::TemporaryFolder folder_;
   Fleet fleet_;
+  std::chrono::milliseconds remind_{60'000};
   FakeCalls calls_;
   std::string token_;
   std::optional<Console> console_;
@@ -326,6 +328,48 @@ TEST_F(ConsoleTest, TellsTuplesASecondAndTheirLatencyOfTheLastMoment) {
   do shown = next(live, "topology");
   while (shown.at("problems").empty());
   EXPECT_THAT(shown.at("problems")[0].at("problem").get<std::string>(), HasSubstr("in JSON"));
+}
+
+TEST_F(ConsoleTest, TellsAmongWhatIsWrongWhichComponentLosesTuplesUntilAWhileAfterTheLastOne) {
+  const auto page = [](int late, int failed) {
+    return Json{{"components", {{{"id", "s"}, {"kind", "spout"}}, {{"id", "b"}, {"kind", "bolt"}}}},
+                {"tasks",
+                 {{{"component", "s"}, {"emitted", 1000}, {"superseded", late}},
+                  {{"component", "b"}, {"late", late}, {"failed", failed}},
+                  {{"component", "b"}, {"late", 5}}}}}
+        .dump();
+  };
+  fleet_.set_page(page(100, 7));
+  remind_ = 300ms;
+  open();
+  RawClient live(host());
+  listen(live, "/api/live");
+  EXPECT_EQ(next(live, "state").at("losses"), Json::array()) << "what was lost before it looked is not told";
+  while (next(live, "series").at("points").empty()) {
+  }
+  fleet_.set_page(page(130, 8));
+  Json losses;
+  do losses = next(live, "state").at("losses");
+  while (losses.empty());
+  ASSERT_EQ(losses.size(), 1u) << "what keep_last replaced is not lost";
+  EXPECT_EQ(losses[0].at("topology"), "echo");
+  EXPECT_EQ(losses[0].at("component"), "b");
+  EXPECT_EQ(losses[0].at("counts"), Json::parse(R"({"late":30,"failed":1})"));
+  do losses = next(live, "state").at("losses");
+  while (!losses.empty());
+}
+
+TEST_F(ConsoleTest, TellsWhoMadeAnInstanceThatNobodyDeployed) {
+  auto made = driver("g1", "b", discovery::DriverState::active);
+  made.made_by = "rule cameras";
+  fleet_.set({driver("g1", "a", discovery::DriverState::active), made});
+  open();
+  RawClient live(host());
+  listen(live, "/api/live?rows=1");
+  const auto rows = next(live, "rows").at("set");
+  EXPECT_FALSE(rows[0].contains("made_by"));
+  EXPECT_EQ(rows[1].at("made_by"), "rule cameras");
+  EXPECT_THAT(ask("GET", "/api/instance?gateway=g1&instance=b"), HasSubstr(R"("made_by":"rule cameras")"));
 }
 
 TEST_F(ConsoleTest, TellsWhatComponentsHadCountedSomeTimeAgo) {

@@ -22,7 +22,8 @@ export function check(what, is, more = "") {
   console.log(`wrong: ${what} ${typeof more === "string" ? more : JSON.stringify(more)}`);
 }
 
-export const launch = () => chromium.launch({executablePath: options.chromium, args: options.root ? ["--no-sandbox"] : []});
+/** Without the emulation of a GPU, which would draw each frame with more work. */
+export const launch = () => chromium.launch({executablePath: options.chromium, args: ["--disable-gpu", ...(options.root ? ["--no-sandbox"] : [])]});
 
 const answers = createInterface({input: process.stdin})[Symbol.asyncIterator]();
 
@@ -40,7 +41,7 @@ export async function until(what, is, limit_ms = 60_000) {
       check(what, false, "in time");
       return false;
     }
-    await new Promise((resolve) => setTimeout(resolve, 50));
+    await new Promise((resolve) => setTimeout(resolve, 100));
   }
   return true;
 }
@@ -69,7 +70,7 @@ export async function logIn(page, url, token) {
 
 /** What axe-core finds in a page or frame, with the rules for WCAG 2 A and AA. It is put there past the page's own policy. */
 export async function accessibility(page, what) {
-  await page.evaluate(await readFile(axeFile, "utf8"));
+  if (!(await page.evaluate(() => !!window.axe))) await page.evaluate(await readFile(axeFile, "utf8"));
   const found = await page.evaluate(async () => {
     const result = await window.axe.run(document, {runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa"]});
     return result.violations.map((one) => `${one.id}: ${one.nodes.slice(0, 3).map((node) => node.target.join(" ")).join(", ")}`);

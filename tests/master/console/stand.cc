@@ -21,6 +21,7 @@
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/master/console/console.h>
+#include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/security/tokens.h>
 #include <iotcloud/security/trusted_keys.h>
 #include <iotcloud/tests/master/console/simulated_turtle.h>
@@ -61,6 +62,7 @@ class Fleet {
         driver.reason = hostile;
         driver.metadata[hostile] = hostile;
       }
+      if (number == 9) driver.made_by = "rule " + hostile;
       discovery::ChannelRecord channel;
       channel.name = number == 1 ? hostile : "data";
       channel.transport = "rabbitmq";
@@ -104,7 +106,8 @@ std::vector<discovery::GatewayStatus> gateways() {
     gateway.record.brokers = {"rabbitmq"};
     gateway.record.since_ms = begun_ms;
     gateway.alive = number != 5;
-    if (number == 2) gateway.record.trouble = hostile;
+    if (number == 2) gateway.record.trouble = gateway.frozen = hostile;
+    gateway.draining = number == 4;
     if (number == 3) {
       gateway.record.trouble =
           "the broker rabbitmq (amqp://lab1) is away since 2026-09-21T14:00:00Z: refused; instance " +
@@ -154,25 +157,34 @@ std::string worker_page() {
   std::string from;
   for (const auto& [id, capacity] : parts) {
     const bool spout = from.empty();
-    Json inputs = Json::array();
+    Json inputs = Json::array(), streams = Json::object(), of_streams = Json::object();
+    streams["default"] = {"frame", "driverID"};
     if (!spout)
       inputs.push_back({{"from", from}, {"stream", "default"}, {"grouping", "fields"}, {"fields", {"driverID"}}});
+    if (id == "commands")
+      inputs.push_back({{"from", "decode"}, {"stream", "alerts"}, {"grouping", "all"}, {"fields", Json::array()}});
+    if (id == "decode") {  // of six tuples one goes to the stream "alerts"
+      streams["alerts"] = Json::array({"why"});
+      of_streams = {{"default", {{"emitted", 5 * now / 6}, {"transferred", 5 * now / 6}}},
+                    {"alerts", {{"emitted", now / 6}, {"transferred", 4 * now / 6}}}};
+    }
     components.push_back({{"id", id},
                           {"kind", spout ? "spout" : "bolt"},
                           {"parallelism", spout ? 1 : 2},
                           {"tasks", spout ? 1 : 4},
                           {"inputs", inputs},
-                          {"streams", {{"default", {"frame", "driverID"}}}}});
+                          {"streams", streams}});
     for (int number = 0; number < (spout ? 1 : 4); ++number) {
       tasks.push_back({{"component", id},
                        {"task", number},
                        {"emitted", now},
                        {"transferred", now},
+                       {"streams", of_streams},
                        {"executed", now},
                        {"acked", now},
                        {"failed", 0},
                        {"timed_out", 0},
-                       {"late", 0},
+                       {"late", id == hostile ? now / 20 : 0},
                        {"superseded", 2},
                        {"errors", id == hostile ? 3 : 0},
                        {"queue_depth", 1},
@@ -267,20 +279,54 @@ class StandCalls final : public ConsoleCalls {
                         hostile)
           .dump();
     if (call == "worker" && given.at("target") == "/units") return units_page(hostile).dump();
-    if (call == "worker")
-      return Json{{"missed", 0},
-                  {"samples",
-                   {{{"time_ms", begun_ms},
-                     {"task", 1},
-                     {"source", "kinect"},
-                     {"stream", "default"},
-                     {"fields", {{"x", hostile}}}}}}}
+    if (call == "worker") return tap(rpc::read_target(given.at("target").get<std::string>()).query);
+    if (call == "order_of")
+      return Json{
+          {"plugin", "meter.so"}, {"manager", hostile}, {"properties", {{hostile, hostile}, {"password", "***"}}}}
           .dump();
-    if (call == "order_of") return Json{{"properties", {{hostile, hostile}, {"password", "***"}}}}.dump();
+    if (call == "plugins") {
+      const auto plugin = [](const std::string& file, const std::string& sha256) {
+        return Json{{"gateway", "gateway-2"},
+                    {"plugin",
+                     {{"file", file},
+                      {"sha256", sha256},
+                      {"sent", file != "meter.so"},
+                      {"signed_by", hostile},
+                      {"signed_version", 3},
+                      {"problem", ""}}}};
+      };
+      return Json{{"plugins",
+                   {plugin("meter.so", std::string(64, 'a')), plugin("meter-2.so", std::string(64, 'b')),
+                    plugin(hostile, std::string(64, 'c'))}},
+                  {"silent", Json::object()}}
+          .dump();
+    }
     throw config::Error("the console has no call " + call);
   }
 
  private:
+  /// As a worker, knows a tap by its id: one that goes on is that of its first component.
+  std::string tap(const std::map<std::string, std::string>& query) {
+    const auto word = [&](const char* key) {
+      const auto found = query.find(key);
+      return found == query.end() ? std::string() : found->second;
+    };
+    const config::MutexLock lock(taps_mutex_);
+    if (!word("end").empty()) {
+      taps_.erase(word("id"));
+      return "{}";
+    }
+    const auto component = taps_.try_emplace(word("id"), word("component")).first->second;
+    return Json{{"missed", 0},
+                {"samples",
+                 {{{"time_ms", begun_ms},
+                   {"task", 1},
+                   {"source", component},
+                   {"stream", word("stream").empty() ? "default" : word("stream")},
+                   {"fields", {{"x", hostile}, {"taps", taps_.size()}}}}}}}
+        .dump();
+  }
+
   std::string order(const ConsoleCaller& caller, const std::string& call, const Json& given) {
     const auto role = tokens_->role_of(*caller.holder);
     const auto name = call == "order" ? given.at("order").get<std::string>() : given.at("change").get<std::string>();
@@ -310,6 +356,8 @@ class StandCalls final : public ConsoleCalls {
   Fleet& fleet_;
   const std::shared_ptr<security::TokenKeeper> tokens_;
   SimulatedTurtle turtle_;
+  config::Mutex taps_mutex_;
+  std::map<std::string, std::string> taps_ IOTCLOUD_GUARDED_BY(taps_mutex_);  ///< components by the taps' ids
 };
 
 /// Takes "--pages FOLDER KEY" out of the words.
@@ -345,7 +393,7 @@ int run(const std::string& tokens, int instances, std::vector<std::string> other
   options.id = others.empty() ? "master-2" : "master-1";
   options.tokens = keeper;
   options.live.look = std::chrono::milliseconds(200);
-  options.live.pages = options.live.sample = std::chrono::milliseconds(500);
+  options.live.pages = options.live.sample = std::chrono::milliseconds(1'000);
   options.live.remember = std::chrono::milliseconds(2'000);
   const Console console(options, source, calls);
   std::cout << console.url() << std::endl;

@@ -103,6 +103,7 @@ check("the graph has all components", (await admin.locator(".graph .node").count
 await until("rates are there", async () => /\d\/s/.test(await admin.textContent(".graph")));
 check("distributions are drawn", (await admin.locator(".spread rect").count()) > 10);
 await accessibility(admin, "a topology");
+
 await admin.locator(".acts >> text=Kill").click();
 check("a kill asks for the name", await admin.locator("dialog button[type=submit]").isDisabled());
 await admin.locator("dialog input").fill("follow");
@@ -123,6 +124,14 @@ const [download] = await Promise.all([admin.waitForEvent("download"), admin.clic
 const csv = await readFile(await download.path(), "utf8");
 check("the export has the changes", csv.startsWith("time_ms,gateway,instance") && csv.split("\r\n").length >= 3, csv);
 check("a cell is in quotes", csv.includes('"""><img'), csv);
+const [other] = await Promise.all([admin.waitForEvent("download"), admin.click("text=JSON >> nth=0")]);
+check("and as JSON, with the reason", JSON.parse(await readFile(await other.path(), "utf8"))[0].reason.includes("<img"));
+await admin.fill("[role=search] input", "gateway-9");
+await until("what does not have the text is hidden", async () => (await admin.textContent("section[aria-label='Changes of state']")).includes("0 changes"));
+await admin.fill("[role=search] input", "gateway-1");
+await admin.waitForSelector("section[aria-label='Changes of state'] tbody tr");
+await admin.locator("input[type=datetime-local]").nth(1).fill("2020-01-01T00:00");
+await until("nor what is later", async () => (await admin.textContent("section[aria-label='Changes of state']")).includes("0 changes"));
 
 await wayAndTroubles(admin, url);
 

@@ -82,8 +82,11 @@ export async function wayAndTroubles(page, url) {
   // ---- the overview: hanging and dropping
   await page.goto(`${url}#/overview`);
   await until("what hangs is told", async () => (await page.textContent(".faults")).includes("has not returned since"));
-  const hanging = page.locator(".faults li", {has: page.locator(".state-hanging")}), dropping = page.locator(".faults li", {has: page.locator(".state-dropping")});
+  const hanging = page.locator(".faults li", {has: page.locator(".state-hanging")}), dropping = page.locator(".faults li", {has: page.locator(".state-dropping"), hasText: "on gateway-3"});
   check("what drops is told", (await dropping.textContent()).includes("dropped: superseded"));
+  const late = page.locator(".faults li", {hasText: "older than their deadline"});
+  await until("a topology's late tuples are told", async () => (await late.count()) === 1 && /\d+ tuples older/.test(await late.textContent()));
+  check("a hostile component is text", (await late.textContent()).includes("<script>window.hacked=1</script>"), await late.textContent());
   check("the gateway's own trouble stays its own", (await page.textContent(".faults")).includes("is away since 2026-09-21T14:00:00Z: refused"));
   await hanging.locator("text=Start again").click();
   await until("it is restarted", async () => (await ask("orders")).some((order) => order.order === "restart" && order.with.instances[0] === id(2)));

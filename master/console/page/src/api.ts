@@ -64,6 +64,26 @@ export interface Row {
   channels: number;
   starts_again?: boolean;
   lost?: boolean;
+  /** A rule or finder of its gateway, if no master was ordered to make it. */
+  made_by?: string;
+}
+
+/** What a topology's component lost of late. */
+export interface Loss {
+  topology: string;
+  component: string;
+  since_ms: number;
+  counts: Partial<Record<"late" | "timed_out" | "failed" | "errors", number>>;
+}
+
+/** A plugin that a gateway has. */
+export interface Plugin {
+  file: string;
+  sha256: string;
+  sent: boolean;
+  signed_by: string;
+  signed_version: number;
+  problem: string;
 }
 
 export interface Gateway {
@@ -114,6 +134,7 @@ export interface State {
   counts: Record<string, number>;
   faults: Row[];
   number_of_faults: number;
+  losses?: Loss[];
 }
 
 export interface Latency {
@@ -129,6 +150,8 @@ export interface Task {
   task: number;
   emitted: number;
   transferred: number;
+  /** Each stream's part of these, if there are several. */
+  streams?: Record<string, {emitted: number; transferred: number}>;
   executed: number;
   acked: number;
   failed: number;

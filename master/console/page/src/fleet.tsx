@@ -15,16 +15,16 @@ const columns: {key: Column; title: string}[] = [
   {key: "state", title: "State"}, {key: "name", title: "Name"}, {key: "driver", title: "Driver"},
   {key: "gateway", title: "Gateway"}, {key: "since_ms", title: "Since"}, {key: "reason", title: "Reason, metadata"},
 ];
-const groups = ["none", "gateway", "driver", "state", "deployment"] as const;
+const groups = ["none", "gateway", "driver", "state", "deployment", "made by"] as const;
 type Group = (typeof groups)[number];
 type Line = {group: string; number: number; row?: undefined} | {row: Row; group?: undefined; number?: undefined};
 
 export const nameOf = (row: {name: string; instance: string}): string => row.name || short(row.instance);
 const keyOf = (row: Row): string => `${row.gateway}/${row.instance}`;
 const words = (row: Row): string =>
-  [row.reason, ...Object.entries(row.metadata).map(([key, value]) => `${key}=${value}`)].filter(Boolean).join(" · ");
+  [row.reason, row.made_by && `made by ${row.made_by}`, ...Object.entries(row.metadata).map(([key, value]) => `${key}=${value}`)].filter(Boolean).join(" · ");
 const groupOf = (row: Row, by: Group): string =>
-  by === "deployment" ? row.name.replace(/\/\d+$/, "") || "(without a name)" : by === "none" ? "" : row[by];
+  by === "made by" ? row.made_by || "(an order)" : by === "deployment" ? row.name.replace(/\/\d+$/, "") || "(without a name)" : by === "none" ? "" : row[by];
 
 function compare(a: Row, b: Row, by: Column): number {
   if (by === "since_ms") return b.since_ms - a.since_ms;
@@ -148,7 +148,7 @@ export function Fleet({where}: {where: string}) {
           {groups.map((one) => <option key={one}>{one}</option>)}</select></label>
         {anyPlace && <button type="button" aria-pressed={map} onClick={() => setMap(!map)}>Map</button>}
         <button type="button" onClick={() => save("fleet.csv", "text/csv", csv(
-          ["instance", "name", "driver", "gateway", "state", "reason", "since_ms", "metadata"], sorted as unknown as Record<string, unknown>[]))}>CSV</button>
+          ["instance", "name", "driver", "gateway", "state", "reason", "since_ms", "made_by", "metadata"], sorted as unknown as Record<string, unknown>[]))}>CSV</button>
       </form>
       {problem && <pre class="problem" id="search-problem" role="alert">{problem}</pre>}
       {map && anyPlace && <WorldMap rows={sorted} lost={lost} chosen={chosen} onChoose={mayAct() ? (keys) => setChosen(new Set(keys)) : null} />}

@@ -1,6 +1,6 @@
 // One instance: its record, its channels as they carry now, its history, its log.
 import {useEffect, useRef, useState} from "preact/hooks";
-import {call, get, Refused, type Row} from "./api";
+import {call, get, type Plugin, Refused, type Row} from "./api";
 import {nameOf, orderRows} from "./fleet";
 import {known} from "./live";
 import {confirm, Empty, isAdmin, mayAct, order, Panel, State, useKnown} from "./parts";
@@ -19,6 +19,13 @@ interface Driver extends Row {
   plugin?: string;
   sha256?: string;
   signed_by?: string;
+}
+/** Of an order: discovery/records.h. */
+interface Ordered {
+  plugin: string;
+  sha256?: string;
+  manager?: string;
+  properties: Record<string, string>;
 }
 interface Change {
   time_ms: number;
@@ -140,7 +147,7 @@ export function Instance({gateway, instance}: {gateway: string; instance: string
   const {rows, rowsComplete, state} = useKnown();
   const [driver, setDriver] = useState<Driver | null>(null);
   const [changes, setChanges] = useState<Change[]>([]);
-  const [properties, setProperties] = useState<Record<string, string> | null>(null);
+  const [ordered, setOrdered] = useState<Ordered | null>(null);
   const [problem, setProblem] = useState("");
   const row = rows.get(`${gateway}/${instance}`);
   useEffect(() => {
@@ -154,7 +161,7 @@ export function Instance({gateway, instance}: {gateway: string; instance: string
                    name: record.deployment ? `${record.deployment}/${record.index ?? 0}` : ""});
         setChanges(history.changes.reverse());
         setProblem(Object.entries(history.silent as Record<string, string>).map(([name, why]) => `${name}: ${why}`).join("; "));
-        if (mayAct()) setProperties((await call("order_of", {gateway, instance})).properties);
+        if (mayAct() && !record.made_by) setOrdered(await call("order_of", {gateway, instance}));
       } catch (error) {
         if (!ended) setProblem(error instanceof Refused ? error.message : "the master does not answer");
       }
@@ -190,16 +197,17 @@ export function Instance({gateway, instance}: {gateway: string; instance: string
           <dt>Gateway</dt><dd>{gateway}</dd>
           <dt>Why</dt><dd>{shown.reason || "-"}</dd>
           <dt>Since</dt><dd>{time(shown.since_ms)} UTC, {age(shown.since_ms)}</dd>
+          {(shown.made_by || ordered) && <><dt>Made by</dt><dd>{shown.made_by ? `${shown.made_by} of its gateway` : ordered!.manager ? `manifest ${ordered!.manager}` : "a person's order"}</dd></>}
           {driver && <><dt>Plugin</dt><dd>{driver.plugin || "-"} {driver.sha256 && <code title={driver.sha256}>{driver.sha256.slice(0, 12)}</code>}
             {driver.signed_by ? ` signed by ${driver.signed_by}` : ""}</dd></>}
           {Object.entries(shown.metadata).map(([key, value]) => <><dt>{key}</dt><dd>{value}</dd></>)}
         </dl>
-        {properties && Object.keys(properties).length > 0 && (
+        {ordered && Object.keys(ordered.properties).length > 0 && (
           <details><summary>Properties that it was deployed with</summary>
-            <dl class="facts">{Object.entries(properties).map(([key, value]) => <><dt>{key}</dt><dd>{value}</dd></>)}</dl></details>
+            <dl class="facts">{Object.entries(ordered.properties).map(([key, value]) => <><dt>{key}</dt><dd>{value}</dd></>)}</dl></details>
         )}
         {mayAct() && <Describe row={shown} />}
-        {isAdmin() && properties && <Update row={shown} properties={properties} />}
+        {isAdmin() && ordered && <Update row={shown} ordered={ordered} />}
       </Panel>
       {driver && <Channels driver={{...driver, state: shown.state}} />}
       <Panel title="History" more={<a href={`#/history?instance=${encodeURIComponent(instance)}`}>All of it</a>}>
@@ -217,29 +225,56 @@ export function Instance({gateway, instance}: {gateway: string; instance: string
   );
 }
 
-/** Gives the instance another value of one property: it is created anew, and goes back if it does not come up. */
-function Update({row, properties}: {row: Row; properties: Record<string, string>}) {
+const versionOf = (plugin: {sha256?: string; signed_version?: number; signed_by?: string}): string =>
+  [plugin.sha256?.slice(0, 12), plugin.signed_version ? `version ${plugin.signed_version}` : "", plugin.signed_by ? `signed by ${plugin.signed_by}` : ""].filter(Boolean).join(", ");
+
+const keyOf = (plugin: Plugin): string => `${plugin.file} ${plugin.sha256}`;
+
+/** Gives the instance another plugin that its gateway has, another value of one property, or both: it is created anew, and goes
+    back if it does not come up. */
+function Update({row, ordered}: {row: Row; ordered: Ordered}) {
   const [key, setKey] = useState("");
   const [value, setValue] = useState("");
+  const [plugins, setPlugins] = useState<Plugin[]>([]);
+  const [problem, setProblem] = useState("");
+  const [pick, setPick] = useState("");
+  useEffect(() => {
+    let ended = false;
+    call("plugins", {gateways: [row.gateway]}).then((all) => {
+      if (ended) return;
+      const known: Plugin[] = all.plugins.map((one: {plugin: Plugin}) => one.plugin);
+      // One that was sent is ordered by its checksum, one of the gateway's folder by its name.
+      setPlugins(known.filter((one) => one.file && (one.file !== ordered.plugin || (one.sent ? one.sha256 !== ordered.sha256 : !!ordered.sha256))));
+      setProblem(Object.values(all.silent as Record<string, string>).join("; "));
+    }, (error) => { if (!ended) setProblem(error instanceof Refused ? error.message : "the master does not answer"); });
+    return () => { ended = true; };
+  }, [row.gateway, ordered]);
+  const other = plugins.find((one) => keyOf(one) === pick);
   return (
     <form class="search" onSubmit={async (event) => {
       event.preventDefault();
-      const next = {...properties};
-      if (value) next[key] = value;
-      else delete next[key];
+      const next = {...ordered.properties};
+      if (key && value) next[key] = value;
+      else if (key) delete next[key];
+      const words = [other && `${other.file} (${versionOf(other)})`, key && (value ? `${key}=${value}` : `no ${key}`)].filter(Boolean).join(" and ");
       if (await confirm({title: `Update ${nameOf(row)}?`, act: "Update", destroys: true,
-                         text: <p>It is created anew with {value ? `${key}=${value}` : `no ${key}`}. If it does not come up, it goes back.</p>}))
+                         text: <p>It is created anew with {words}. If it does not come up, it goes back.</p>}))
         await order(`Update ${nameOf(row)}`, "update", {
-          selection: {instances: [row.instance], gateways: [row.gateway]}, plugin: "", properties: [{instance: row.instance, properties: next}],
+          selection: {instances: [row.instance], gateways: [row.gateway]}, plugin: other?.file ?? "",
+          ...(other?.sent ? {sha256: other.sha256} : {}), properties: key ? [{instance: row.instance, properties: next}] : [],
         });
     }}>
-      <label>Property <input required value={key} size={12} list="properties" onInput={(event) => {
+      <label>Plugin <select value={pick} onChange={(event) => setPick(event.currentTarget.value)}>
+        <option value="">{`as it is: ${ordered.plugin}`}</option>
+        {plugins.map((one) => <option key={keyOf(one)} value={keyOf(one)} disabled={!!one.problem} title={one.problem}>{`${one.file} (${versionOf(one)})`}</option>)}</select></label>
+      <label>Property <input required={!other} value={key} size={12} list="properties" onInput={(event) => {
         setKey(event.currentTarget.value);
-        setValue(properties[event.currentTarget.value] ?? value);
+        setValue(ordered.properties[event.currentTarget.value] ?? value);
       }} /></label>
-      <datalist id="properties">{Object.keys(properties).map((name) => <option key={name} value={name} />)}</datalist>
+      <datalist id="properties">{Object.keys(ordered.properties).map((name) => <option key={name} value={name} />)}</datalist>
       <label>Value <input value={value} size={16} placeholder="empty: remove" onInput={(event) => setValue(event.currentTarget.value)} /></label>
       <button type="submit">Update</button>
+      {problem && <span class="quiet">{problem}</span>}
     </form>
   );
 }

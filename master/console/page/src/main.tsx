@@ -169,7 +169,7 @@ function Console() {
         {page === "overview" ? <Overview />
           : page === "fleet" ? <Fleet where={where} />
           : page === "instance" ? <Instance key={at.path.join("/")} gateway={at.path[1] ?? ""} instance={at.path[2] ?? ""} />
-          : page === "topology" ? <Topologies name={topology} />
+          : page === "topology" ? <Topologies name={topology} component={topology ? at.query.get("component") ?? "" : ""} />
           : page === "tap" ? <Tap key={at.query.toString()} query={at.query} />
           : page === "way" ? <MessageWay query={at.query} />
           : page === "robot" ? <Robots name={at.path[1] ?? ""} query={at.query} />

@@ -1,6 +1,6 @@
 // What is there, how much passes, and what is wrong.
 import type {ComponentChildren} from "preact";
-import type {Gateway, Row} from "./api";
+import type {Gateway, Loss, Row} from "./api";
 import {Bar, confirm, Empty, isAdmin, mayAct, order, Panel, Series, State, Tile, useKnown} from "./parts";
 import {age, count, duration, plural, short} from "./words";
 
@@ -61,6 +61,23 @@ function instanceFault(gateway: string, trouble: Trouble): Fault {
     why: trouble.why,
     buttons: hangs ? mayAct() && <button type="button" onClick={() => void order(`Restart ${short(trouble.instance)}`, "restart", {instances: [trouble.instance], gateways: [gateway]})}>Start again</button>
       : <a class="button" href={link}>Its channels</a>,
+  };
+}
+
+const lossWords: [keyof Loss["counts"], string][] = [["late", "older than their deadline, not executed"], ["timed_out", "timed out"], ["failed", "failed"]];
+
+/** A component of a topology whose tuples are late or fail. */
+function lossFault(loss: Loss): Fault {
+  const {counts} = loss, {errors} = counts;
+  const why = lossWords.filter(([key]) => counts[key]).map(([key, text]) => `${plural(counts[key]!, "tuple")} ${text}`);
+  if (errors) why.push(plural(errors, "error"));
+  const link = `#/topology/${encodeURIComponent(loss.topology)}?component=${encodeURIComponent(loss.component)}`;
+  return {
+    key: `lost ${loss.topology} ${loss.component}`,
+    what: <><State of="dropping" /> <a href={link}>{loss.component}</a><span class="quiet"> in topology {loss.topology}</span></>,
+    why: why.join("; "),
+    since: loss.since_ms,
+    buttons: <a class="button" href={link}>Its tasks</a>,
   };
 }
 
@@ -125,11 +142,14 @@ export function Overview() {
       faults.push({key: `idle ${topology.name}`, what: to, why: "it is to be active, and no worker runs it"});
     for (const worker of topology.workers) {
       for (const why of [worker.trouble, worker.error]) {
-        if (why) faults.push({key: `${worker.name} ${why}`, what: <>{to} <span class="quiet">worker {worker.name} on {worker.host}</span></>, why});
+        if (why) {
+          faults.push({key: `${worker.name} ${why}`, what: <>{to} <span class="quiet">worker {worker.name} on {worker.host}</span></>, why,
+                       buttons: <a class="button" href={`#/topology/${encodeURIComponent(topology.name)}`}>Its page</a>});
+        }
       }
     }
   }
-  faults.push(...state.faults.map(faultOf), ...late);
+  faults.push(...state.faults.map(faultOf), ...late, ...(state.losses ?? []).map(lossFault));
   const parts = states.map((name) => ({name, number: counts[name] ?? 0}));
   const last = points[points.length - 1];
   return (

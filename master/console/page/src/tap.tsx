@@ -106,17 +106,22 @@ function ChannelTap({gateway, instance, channel}: {gateway: string; instance: st
   );
 }
 
-function TupleTap({topology, component}: {topology: string; component: string}) {
+/** \param stream only its tuples; empty: all */
+function TupleTap({topology, component, stream}: {topology: string; component: string; stream: string}) {
   const {state} = useKnown();
   const workers = state?.topologies.find((one) => one.name === topology)?.workers.map((worker) => worker.name) ?? [];
   const [seen, setSeen] = useState<{key: number; worker: string; text: string; time_ms: number; stream: string}[]>([]);
   const [problem, setProblem] = useState("");
   const [paused, setPaused] = useState(false);
   const number = useRef(0);
-  useRepeated(async () => {
+  // A worker knows a tap by its id alone, so each component's and stream's has its own.
+  const targetOf = (more: Record<string, string>): string =>
+    `/tap?${new URLSearchParams({id: `${lookName} ${component} ${stream}`, ...more}).toString().replaceAll("+", "%20")}`;
+  const asked = useRef(Promise.resolve());  // the end goes to the workers after the last poll, which would begin anew
+  const poll = async (): Promise<void> => {
     for (const worker of workers) {
       try {
-        const target = `/tap?${new URLSearchParams({id: lookName, component, rate: "5"}).toString().replaceAll("+", "%20")}`;
+        const target = targetOf({component, stream, rate: "5"});
         const got = await call("worker", {topology, worker, target});
         setProblem("");
         const fresh = got.samples.map((sample: any) => ({key: ++number.current, worker, time_ms: sample.time_ms, stream: `${sample.source} ${sample.stream}`,
@@ -126,9 +131,15 @@ function TupleTap({topology, component}: {topology: string; component: string}) 
         setProblem(error instanceof Refused ? error.message : "the master does not answer");
       }
     }
-  }, 600, [topology, component, workers.join()], !paused);
+  };
+  useRepeated(() => (asked.current = poll()), 600, [topology, component, stream, workers.join()], !paused);
+  useEffect(() => () => {
+    void asked.current.then(() => {
+      for (const worker of workers) void call("worker", {topology, worker, target: targetOf({end: "1"})}).catch(() => undefined);
+    });
+  }, [topology, component, stream, workers.join()]);
   return (
-    <Panel title={`Tuples of ${component} in ${topology}`} more={<button type="button" aria-pressed={paused} onClick={() => setPaused(!paused)}>{paused ? "Go on" : "Pause"}</button>}>
+    <Panel title={`Tuples of ${component} in ${topology}${stream ? `, stream ${stream}` : ""}`} more={<button type="button" aria-pressed={paused} onClick={() => setPaused(!paused)}>{paused ? "Go on" : "Pause"}</button>}>
       {problem && <p class="problem" role="alert">{problem}</p>}
       {!seen.length ? <Empty>Nothing has passed yet.</Empty> : (
         <ol class="messages">{seen.map((tuple) => (
@@ -141,7 +152,7 @@ function TupleTap({topology, component}: {topology: string; component: string}) 
 export function Tap({query}: {query: URLSearchParams}) {
   const {rows, state} = useKnown();
   const [gateway, instance, channel] = ["gateway", "instance", "channel"].map((key) => query.get(key) ?? "") as [string, string, string];
-  const [topology, component] = [query.get("topology") ?? "", query.get("component") ?? ""];
+  const [topology, component, stream] = ["topology", "component", "stream"].map((key) => query.get(key) ?? "") as [string, string, string];
   const [channels, setChannels] = useState<string[]>([]);
   const [pick, setPick] = useState(instance ? `${gateway}/${instance}` : "");
   useEffect(() => {
@@ -169,7 +180,7 @@ export function Tap({query}: {query: URLSearchParams}) {
           {state?.topologies.flatMap((one) => [...one.spouts, ...one.bolts].map((id) => <option key={`${one.name}/${id}`} value={`${one.name}/${id}`}>{id} in {one.name}</option>))}
         </select></label>
       </div>
-      {topology && component ? <TupleTap topology={topology} component={component} />
+      {topology && component ? <TupleTap topology={topology} component={component} stream={stream} />
         : channel ? <ChannelTap gateway={gateway} instance={instance} channel={channel} />
         : <Empty>Choose an instance and its channel, or a component of a topology. Nothing is sampled before, and nothing after you leave.</Empty>}
     </>

@@ -1,6 +1,6 @@
 // Topologies: the graph as it runs, and every number of it.
 import dagre from "@dagrejs/dagre";
-import {useMemo, useState} from "preact/hooks";
+import {useEffect, useMemo, useState} from "preact/hooks";
 import {call, Refused, type Task, type TopologyPages, type TopologyState} from "./api";
 import {useRepeated} from "./instance";
 import {act, confirm, Empty, mayAct, Panel, Spread, State, together, useKnown} from "./parts";
@@ -16,6 +16,8 @@ interface Component {
   tasks: (Task & {worker: string})[];
   emittedRate: number | null;
   executedRate: number | null;
+  /** By stream. */
+  out: Map<string, {emitted: number; transferred: number; rate: number | null}>;
 }
 
 const sum = (tasks: Task[], of: (task: Task) => number): number => tasks.reduce((all, task) => all + of(task), 0);
@@ -30,10 +32,16 @@ function componentsOf(now: TopologyPages, former: TopologyPages | null): Compone
     const rate = (of: (task: Task) => number): number | null =>
       seconds > 0 && then.length ? Math.max(0, sum(tasks, of) - sum(then, of)) / seconds : null;
     const each = now.pages.map((page) => page.components.find((one) => one.id === spec.id)).filter((one) => !!one);
+    // A task that emits to one stream does not count it apart.
+    const of = (task: Task, stream: string, key: "emitted" | "transferred"): number => task.streams?.[stream]?.[key] ?? (Object.keys(task.streams ?? {}).length ? 0 : task[key]);
+    const out = new Map(Object.keys(spec.streams).map((stream) => [stream, {
+      emitted: sum(tasks, (task) => of(task, stream, "emitted")), transferred: sum(tasks, (task) => of(task, stream, "transferred")),
+      rate: rate((task) => of(task, stream, "emitted")),
+    }]));
     all.push({
       id: spec.id, kind: spec.kind, inputs: spec.inputs, streams: spec.streams, tasks,
       parallelism: each.reduce((number, one) => number + one.parallelism, 0), mostParallelism: spec.tasks,
-      emittedRate: rate((task) => task.emitted), executedRate: rate((task) => task.executed),
+      emittedRate: rate((task) => task.emitted), executedRate: rate((task) => task.executed), out,
     });
   }
   return all;
@@ -68,11 +76,12 @@ function Graph({components, chosen, choose}: {components: Component[]; chosen: s
           const from = components.find((one) => one.id === edge.v)!, to = components.find((one) => one.id === edge.w)!;
           const middle = points[Math.floor(points.length / 2)]!;
           const queue = sum(to.tasks, (task) => task.queue_depth);
+          const rate = from.out.get(edge.name ?? "default")?.rate ?? null;
           return (
-            <g key={`${edge.v} ${edge.w} ${edge.name}`} class={from.emittedRate ? "edge flows" : "edge"}>
+            <g key={`${edge.v} ${edge.w} ${edge.name}`} class={rate ? "edge flows" : "edge"}>
               <path d={points.map((point, index) => `${index ? "L" : "M"}${point.x} ${point.y}`).join("")} marker-end="url(#arrow)" />
               <text x={middle.x} y={middle.y - 7}>{edge.name === "default" ? "" : edge.name}</text>
-              <text x={middle.x} y={middle.y + 13}>{rateText(from.emittedRate)}{queue ? `, ${count(queue)} wait` : ""}</text>
+              <text x={middle.x} y={middle.y + 13}>{rateText(rate)}{queue ? `, ${count(queue)} wait` : ""}</text>
             </g>
           );
         })}
@@ -196,18 +205,67 @@ function Readers({topology}: {topology: TopologyState}) {
   );
 }
 
+interface TopologyEvent {
+  time_ms: number;
+  order: string;
+  version: number;
+  workers: number;
+  outcome: string;
+}
+
+/** What was submitted, updated, rolled back and killed, of a topology that runs on pools. */
+function Versions({topology}: {topology: TopologyState}) {
+  const [events, setEvents] = useState<TopologyEvent[]>([]);
+  const [problem, setProblem] = useState("");
+  useEffect(() => {
+    let ended = false;
+    call("topology_history", {topology: topology.name}).then((all) => { if (!ended) setEvents(all.reverse()); },
+      (error) => { if (!ended) setProblem(error instanceof Refused ? error.message : "the master does not answer"); });
+    return () => { ended = true; };
+  }, [topology.name, topology.revision, topology.version]);
+  return (
+    <Panel title="Versions">
+      {problem && <p class="problem" role="alert">{problem}</p>}
+      <div class="scroll" tabIndex={0} role="group" aria-label="Orders for the topology"><table>
+        <thead><tr><th>Time (UTC)</th><th>Order</th><th class="n">Version</th><th class="n">Workers</th><th>Outcome</th></tr></thead>
+        <tbody>{events.map((event) => (
+          <tr key={`${event.time_ms} ${event.order}`}><td>{time(event.time_ms)}</td><td>{event.order}</td><td class="n">{event.version}</td><td class="n">{event.workers}</td><td>{event.outcome}</td></tr>))}</tbody>
+      </table></div>
+    </Panel>
+  );
+}
+
 const spanText = (ms: number): string => (ms >= 7.2e6 ? plural(Math.round(ms / 3.6e6), "hour") : duration(ms * 1000));
 
 /** Counts that are told of some time ago, too: master/console/live.cc. */
-const spanCounts = ["emitted", "transferred", "executed", "acked", "failed", "timed_out"] as const;
+const spanCounts = ["emitted", "transferred", "executed", "acked", "failed", "timed_out", "late", "superseded"] as const;
 
 const lastError = (tasks: (Task & {worker: string})[]): string => {
   const one = tasks.find((task) => task.last_error);
   return one ? `${one.last_error} (task ${one.task} in ${one.worker})` : "";
 };
 
-function Topology({topology, pages, former}: {topology: TopologyState; pages: TopologyPages | null; former: TopologyPages | null}) {
-  const [chosen, setChosen] = useState("");
+/** What is emitted to each stream, and who reads it. */
+function Streams({topology, components}: {topology: string; components: Component[]}) {
+  const lines = components.flatMap((one) => [...one.out].map(([stream, counts]) => ({one, stream, counts,
+    readers: components.flatMap((other) => other.inputs.filter((input) => input.from === one.id && input.stream === stream)
+      .map((input) => `${other.id} (${input.grouping}${input.fields.length ? ` ${input.fields.join(", ")}` : ""})`))})));
+  if (!lines.length) return null;
+  return (
+    <Panel title="Streams">
+      <div class="scroll" tabIndex={0} role="group" aria-label="What is emitted to each stream"><table>
+        <thead><tr><th>Component</th><th>Stream</th><th>Fields</th><th>Read by</th><th class="n">Tuples/s</th><th class="n">Emitted</th><th class="n">Transferred</th><th><span class="hidden">Acts</span></th></tr></thead>
+        <tbody>{lines.map(({one, stream, counts, readers}) => (
+          <tr key={`${one.id} ${stream}`}><td>{one.id}</td><td>{stream}</td><td>{one.streams[stream]?.join(", ")}</td><td>{readers.join(", ") || <span class="quiet">nobody</span>}</td>
+            <td class="n">{rateText(counts.rate)}</td><td class="n">{count(counts.emitted)}</td><td class="n">{count(counts.transferred)}</td>
+            <td><a href={`#/tap?${new URLSearchParams({topology, component: one.id, stream})}`}>Look</a></td></tr>))}</tbody>
+      </table></div>
+    </Panel>
+  );
+}
+
+function Topology({topology, component, pages, former}: {topology: TopologyState; component: string; pages: TopologyPages | null; former: TopologyPages | null}) {
+  const [chosen, setChosen] = useState(component);
   const [span, setSpan] = useState(0);
   const former_ = pages?.former?.find((each) => each.span_ms === span);
   const counted = (tasks: Task[], component: string, key: keyof Task & string): number =>
@@ -273,8 +331,7 @@ function Topology({topology, pages, former}: {topology: TopologyState; pages: To
                     <td><Spread name="process" of={together(line.tasks.map((task) => task.process))} /></td>
                     <td><Spread name="complete" of={together(line.tasks.map((task) => task.complete))} /></td>
                     {spanCounts.map((key) => <td key={key} class="n">{count(one ? sum(line.tasks, (task) => task[key] as number) : counted(line.tasks, line.id, key))}</td>)}
-                    {([(task) => task.late, (task) => task.superseded, (task) => task.queue_depth] as ((task: Task) => number)[])
-                      .map((of, index) => <td key={index} class="n">{count(sum(line.tasks, of))}</td>)}
+                    <td class="n">{count(sum(line.tasks, (task) => task.queue_depth))}</td>
                     <td class="n">{count(sum(line.tasks, (task) => task.pending))}{most(line.tasks, (task) => task.oldest_s) > 0 ? `, ${duration(most(line.tasks, (task) => task.oldest_s) * 1e6)}` : ""}</td>
                     <td class="n">{count(sum(line.tasks, (task) => task.errors))}</td>
                     <td class="error">{lastError(line.tasks as (Task & {worker: string})[])}</td>
@@ -283,6 +340,7 @@ function Topology({topology, pages, former}: {topology: TopologyState; pages: To
               </tbody>
             </table></div>
           </Panel>
+          <Streams topology={topology.name} components={components} />
           <Kept components={components} />
           <Readers topology={topology} />
           {mayAct() && <Panel title="Rebalance"><Rebalance topology={topology} components={components} /></Panel>}
@@ -297,6 +355,7 @@ function Topology({topology, pages, former}: {topology: TopologyState; pages: To
           </Panel>
         </>
       )}
+      {!!topology.version && <Versions topology={topology} />}
       <Panel title="Workers">
         <div class="scroll"><table>
           <thead><tr><th>Worker</th><th>State</th><th>Host</th><th class="n">Process</th><th>Pages</th><th>Since (UTC)</th><th class="n">Order</th><th>Trouble</th></tr></thead>
@@ -309,11 +368,12 @@ function Topology({topology, pages, former}: {topology: TopologyState; pages: To
   );
 }
 
-export function Topologies({name}: {name: string}) {
+/** \param component of the topology, that is chosen first; empty: none */
+export function Topologies({name, component}: {name: string; component: string}) {
   const {state, topology, formerTopology} = useKnown();
   if (!state) return <Empty>...</Empty>;
   const found = state.topologies.find((one) => one.name === name);
-  if (found) return <Topology key={name} topology={found} pages={topology?.topology === name ? topology : null} former={formerTopology} />;
+  if (found) return <Topology key={`${name} ${component}`} topology={found} component={component} pages={topology?.topology === name ? topology : null} former={formerTopology} />;
   return (
     <>
       <h1>Topologies</h1>
