@@ -41,6 +41,12 @@ TaskSnapshot Snapshot::component(const std::string& id) const {
     sum.spout = task.spout;
     sum.emitted += task.emitted;
     sum.transferred += task.transferred;
+    sum.streams.resize(task.streams.size());  // all tasks of a component have the same
+    for (std::size_t i = 0; i < task.streams.size(); ++i) {
+      sum.streams[i].stream = task.streams[i].stream;
+      sum.streams[i].emitted += task.streams[i].emitted;
+      sum.streams[i].transferred += task.streams[i].transferred;
+    }
     sum.executed += task.executed;
     sum.acked += task.acked;
     sum.failed += task.failed;

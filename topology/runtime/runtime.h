@@ -55,23 +55,30 @@ struct RuntimeOptions {
   std::function<void(const std::string& component, int task, const std::string& text)> on_error;
 };
 
+/// What was emitted to one of several streams.
+struct StreamSnapshot {
+  std::string stream;
+  std::uint64_t emitted = 0, transferred = 0;  ///< as in TaskSnapshot
+};
+
 /// Counts of one task since its start, and its present state.
 struct TaskSnapshot {
   std::string component;
   int task_id = 0;
   bool spout = false;
-  std::uint64_t emitted = 0;      ///< tuples that the component passed to emit
-  std::uint64_t transferred = 0;  ///< deliveries of these tuples to tasks
-  std::uint64_t executed = 0;     ///< bolts: tuples executed. Spouts: calls of next_tuple() that returned true
-  std::uint64_t acked = 0;        ///< bolts: inputs acked. Spouts: trees acked
-  std::uint64_t failed = 0;       ///< bolts: inputs failed. Spouts: trees failed, time-outs included
-  std::uint64_t timed_out = 0;    ///< spouts: trees that failed by the message time-out
-  std::uint64_t errors = 0;       ///< exceptions of user code, and errors that it reported
-  std::uint64_t late = 0;         ///< bolts: tuples older than their deadline, not executed
-  std::uint64_t superseded = 0;   ///< bolts: waiting tuples that a newer one replaced (keep_last)
-  std::size_t queue_depth = 0;    ///< bolts: tuples in the mailbox
-  std::size_t pending = 0;        ///< spouts: trees under way
-  double oldest_seconds = 0;      ///< spouts: since the oldest of them was emitted. Of a component: of all its tasks
+  std::uint64_t emitted = 0;            ///< tuples that the component passed to emit
+  std::uint64_t transferred = 0;        ///< deliveries of these tuples to tasks
+  std::vector<StreamSnapshot> streams;  ///< each stream's part of these; empty: the component has one stream, or none
+  std::uint64_t executed = 0;           ///< bolts: tuples executed. Spouts: calls of next_tuple() that returned true
+  std::uint64_t acked = 0;              ///< bolts: inputs acked. Spouts: trees acked
+  std::uint64_t failed = 0;             ///< bolts: inputs failed. Spouts: trees failed, time-outs included
+  std::uint64_t timed_out = 0;          ///< spouts: trees that failed by the message time-out
+  std::uint64_t errors = 0;             ///< exceptions of user code, and errors that it reported
+  std::uint64_t late = 0;               ///< bolts: tuples older than their deadline, not executed
+  std::uint64_t superseded = 0;         ///< bolts: waiting tuples that a newer one replaced (keep_last)
+  std::size_t queue_depth = 0;          ///< bolts: tuples in the mailbox
+  std::size_t pending = 0;              ///< spouts: trees under way
+  double oldest_seconds = 0;  ///< spouts: since the oldest of them was emitted. Of a component: of all its tasks
   std::string last_error;
   /// What the task keeps (Holdings); of a component: of all its tasks.
   std::int64_t window_tuples = -1, state_entries = -1, state_bytes = -1;

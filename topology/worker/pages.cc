@@ -47,10 +47,14 @@ Json kept_json(std::int64_t kept) {
 }
 
 Json to_json(const TaskSnapshot& task) {
+  Json streams = Json::object();
+  for (const StreamSnapshot& one : task.streams)
+    streams[one.stream] = {{"emitted", one.emitted}, {"transferred", one.transferred}};
   return {{"component", task.component},
           {"task", task.task_id},
           {"emitted", task.emitted},
           {"transferred", task.transferred},
+          {"streams", streams},
           {"executed", task.executed},
           {"acked", task.acked},
           {"failed", task.failed},

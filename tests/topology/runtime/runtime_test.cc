@@ -1,3 +1,6 @@
+#include <map>
+#include <utility>
+
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -8,6 +11,7 @@ namespace {
 
 using testing::ElementsAre;
 using testing::IsEmpty;
+using testing::Pair;
 
 TEST(Runtime, RunsAChainOnTheThreadThatWakesTheSpout) {
   auto source = std::make_shared<Source>();
@@ -51,6 +55,49 @@ TEST(Runtime, CallsASpoutsLifeInOrder) {
   EXPECT_TRUE(runtime.stop(0ms));
   EXPECT_THAT(source->calls(), ElementsAre("open", "activate", "deactivate", "activate", "deactivate", "close"));
   source->wake();  // harmless
+}
+
+/// Emits each number, odd ones to the stream "odd", and every tenth to "tenth", too, which nobody reads.
+struct Sorting final : Bolt {
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare({"value"});
+    declarer.declare_stream("odd", {"value"});
+    declarer.declare_stream("tenth", {"value"});
+  }
+  void prepare(const Config&, const TopologyContext&, OutputCollector& collector) override { out = &collector; }
+  void execute(const Tuple& tuple) override {
+    const auto number = tuple.get<std::int64_t>("value");
+    if (number % 2 == 0) out->emit(tuple, Values(number));
+    if (number % 2 == 1) out->emit_to("odd", {&tuple, 1}, Values(number));
+    if (number % 10 == 0) out->emit_to("tenth", {&tuple, 1}, Values(number));
+    out->ack(tuple);
+  }
+  OutputCollector* out = nullptr;
+};
+
+TEST(Runtime, CountsWhatIsEmittedToEachOfSeveralStreams) {
+  Bench bench;
+  auto source = std::make_shared<Source>();
+  auto sink = std::make_shared<Sink>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder
+      .set_bolt(
+          "sort", [] { return std::make_unique<Sorting>(); }, 2)
+      .shuffle_grouping("in");
+  builder.set_bolt("even", sink_bolt(sink)).shuffle_grouping("sort");
+  builder.set_bolt("odd", sink_bolt(sink), 2).all_grouping("sort", "odd");
+  Runtime runtime(builder.build("streams"), bench.options());
+  runtime.start();
+  for (int i = 0; i < 100; ++i) source->put(Values(i));
+  runtime.run_until_idle();
+  const Snapshot snapshot = runtime.snapshot();
+  EXPECT_EQ(snapshot.component("sort").emitted, 110U);
+  std::map<std::string, std::pair<std::uint64_t, std::uint64_t>> streams;
+  for (const auto& one : snapshot.component("sort").streams) streams[one.stream] = {one.emitted, one.transferred};
+  EXPECT_THAT(streams,
+              ElementsAre(Pair("default", Pair(50U, 50U)), Pair("odd", Pair(50U, 100U)), Pair("tenth", Pair(10U, 0U))));
+  EXPECT_THAT(snapshot.component("in").streams, IsEmpty()) << "it has one";
 }
 
 TEST(Runtime, CountsEveryTuple) {

@@ -2,7 +2,9 @@
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
 
-#include <iotcloud/tests/topology/workshop.h>
+#include <iotcloud/tests/topology/state/counting.h>
+#include <iotcloud/tests/topology/state/state_fixture.h>
+#include <iotcloud/tests/topology/windows/windows_fixture.h>
 #include <iotcloud/topology/worker/pages.h>
 
 namespace iotcloud::topology::workshop {
@@ -89,6 +91,43 @@ TEST(WorkerPages, SayWhatHindersComponentsAsLongAsItDoes) {
   of_pass->set("pass", "2", "");
   of_pass->set("in", "", "");
   EXPECT_EQ(board.line(), "");
+}
+
+/// Emits how many tuples a window has.
+struct Sizes final : WindowedBolt {
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare({"size"}); }
+  void prepare(const Config&, const TopologyContext&, WindowOutputCollector& collector) override { out = &collector; }
+  void execute(const TupleWindow& window) override {
+    out->emit(Values(static_cast<std::int64_t>(window.tuples().size())));
+  }
+  WindowOutputCollector* out = nullptr;
+};
+
+TEST(WorkerPages, SayHowMuchWindowsAndStatesKeep) {
+  auto source = std::make_shared<Source>();
+  auto sink = std::make_shared<Sink>();
+  const Folder folder;
+  Bench bench;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("count", make_stateful_bolt<Count>({.store = folder.url(), .checkpoint = 100ms}))
+      .fields_grouping("in", Fields{"value"});
+  builder.set_bolt("window", make_windowed_bolt<Sizes>({.length = 3, .slide = 1})).global_grouping("count");
+  builder.set_bolt("out", sink_bolt(sink)).global_grouping("window");
+  Runtime runtime(builder.build("keeping"), bench.options());
+  runtime.start();
+  for (const char* word : {"a", "bb", "a", "ccc"}) source->lay(Values(std::string(word)));
+  source->wake();
+  runtime.run_until_idle();
+  bench.clock.advance(10s);  // bytes are added up now and then
+  runtime.run_due_timers();
+  runtime.run_until_idle();
+  const auto page = json::parse(describe(runtime, "w1"));
+  EXPECT_EQ(task_of(page, "window")["window_tuples"], 3) << page;
+  EXPECT_EQ(task_of(page, "window")["state_entries"], json());
+  EXPECT_EQ(task_of(page, "count")["state_entries"], 3);
+  EXPECT_GE(task_of(page, "count")["state_bytes"], 6) << "keys and values";
+  EXPECT_EQ(task_of(page, "count")["window_tuples"], json());
 }
 
 TEST(WorkerPages, DescribeTheGraphAndCountWhatWasDone) {

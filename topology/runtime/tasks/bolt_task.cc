@@ -269,6 +269,7 @@ void BoltTask::emit_any(std::string_view stream, std::span<const Tuple> anchors,
   if (task < no_task) throw std::invalid_argument("there is no task " + std::to_string(task));
   emitter_.choose(stream, values, task);
   bump(counts_.emitted);
+  emitter_.count_for_stream();
   const std::int64_t born = environment_.has_deadlines ? birth_of_child(anchors) : 0;
   if (taps_.any()) offer_emitted(values, born);
   if (emitter_.chosen() == 0) return;

@@ -39,6 +39,36 @@ void Emitter::set_up(std::vector<OutStream> streams, const std::vector<BoltTask*
     usual_ = &stream;
     usual_arity_ = stream.arity;
   }
+  if (streams_.size() < 2) return;
+  // The default stream has what the others do not count, so that a usual emit counts nothing more.
+  counts_ = std::make_unique<StreamCounts[]>(streams_.size());
+  for (std::size_t i = 0; i < streams_.size(); ++i) {
+    if (&streams_[i] != default_) streams_[i].counts = &counts_[i];
+  }
+}
+
+std::vector<StreamSnapshot> Emitter::counts(std::uint64_t emitted, std::uint64_t transferred) const {
+  std::vector<StreamSnapshot> all;
+  if (counts_ == nullptr) return all;
+  StreamSnapshot others;
+  std::size_t rest = streams_.size();
+  for (std::size_t i = 0; i < streams_.size(); ++i) {
+    const Stream& stream = streams_[i];
+    auto& one = all.emplace_back(StreamSnapshot{stream.out.info->stream, 0, 0});
+    if (stream.counts == nullptr) {
+      rest = i;
+      continue;
+    }
+    one.emitted = stream.counts->emitted.load(std::memory_order_relaxed);
+    one.transferred = stream.counts->transferred.load(std::memory_order_relaxed);
+    others.emitted += one.emitted;
+    others.transferred += one.transferred;
+  }
+  if (rest < all.size()) {  // the task goes on while its counts are read
+    all[rest].emitted = emitted - std::min(emitted, others.emitted);
+    all[rest].transferred = transferred - std::min(transferred, others.transferred);
+  }
+  return all;
 }
 
 Emitter::Stream& Emitter::find(std::string_view name) {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <atomic>
 #include <cstdint>
 #include <cstring>
 #include <memory>
@@ -10,6 +11,7 @@
 #include <vector>
 
 #include <iotcloud/topology/grouping.h>
+#include <iotcloud/topology/runtime/runtime.h>
 #include <iotcloud/topology/runtime/tasks/tracking.h>
 
 namespace iotcloud::topology::internal {
@@ -39,6 +41,11 @@ struct Edge {
   bool custom = false;                        ///< a user's grouping, whose choices are checked
 };
 
+/// Counts of one of several streams of a task. The thread that runs the task writes them, any thread reads them.
+struct StreamCounts {
+  std::atomic<std::uint64_t> emitted{0}, transferred{0};
+};
+
 /// A stream that a component emits, with all that read it.
 struct OutStream {
   const detail::StreamInfo* info = nullptr;
@@ -63,6 +70,7 @@ class Emitter {
     detail::ToOneGrouping* grouping = nullptr;  ///< chooses among several; null: there is one, or the stream is another
     const int* targets = nullptr;               ///< if `grouping`: the ids of the tasks among which it chooses
     BoltTask* const* tasks = nullptr;           ///< index: task id
+    StreamCounts* counts = nullptr;             ///< null: it has what the task emits and no other stream counts
     bool to_one() const { return only.task != nullptr || grouping != nullptr; }
     /// \pre to_one().
     [[gnu::always_inline]] Receiver choose(const Values& values) const {
@@ -86,6 +94,15 @@ class Emitter {
   /// fit. \param direct_task the receiving task, for emit_direct; -1: the groupings choose.
   void choose(std::string_view stream, const Values& values, int direct_task);
   std::size_t chosen() const { return chosen_.size(); }  ///< number of receivers that choose() found
+  /// Counts the tuple of the last choose() as one of its stream.
+  void count_for_stream() const {
+    if (stream_->counts == nullptr) return;
+    auto& [emitted, transferred] = *stream_->counts;
+    emitted.store(emitted.load(std::memory_order_relaxed) + 1, std::memory_order_relaxed);
+    transferred.store(transferred.load(std::memory_order_relaxed) + chosen(), std::memory_order_relaxed);
+  }
+  /// Each stream's part of what the task emitted and transferred; empty: there are not several. Any thread.
+  std::vector<StreamSnapshot> counts(std::uint64_t emitted, std::uint64_t transferred) const;
   bool is_sink() const { return streams_.empty(); }
   /// Makes the tuple and puts it on the lane for the receivers that choose() found. \pre there is at least one.
   /// \param trees to which the tuple belongs; empty: it is not tracked.
@@ -102,9 +119,10 @@ class Emitter {
   void choose_by_groupings(Stream& stream, const Values& values);
   void choose_direct(const Stream& stream, int task);
   std::vector<Stream> streams_;
-  Stream* default_ = nullptr;           ///< the default stream
-  const Stream* usual_ = nullptr;       ///< the default stream, if it is to_one() and no births are recorded
-  std::size_t usual_arity_ = no_usual;  ///< its number of fields
+  std::unique_ptr<StreamCounts[]> counts_;  ///< null: there are not several streams
+  Stream* default_ = nullptr;               ///< the default stream
+  const Stream* usual_ = nullptr;           ///< the default stream, if it is to_one() and no births are recorded
+  std::size_t usual_arity_ = no_usual;      ///< its number of fields
   static constexpr std::size_t no_usual = ~std::size_t{0};
   const std::vector<BoltTask*>* tasks_ = nullptr;
   int source_task_ = 0;  ///< id of the emitting task

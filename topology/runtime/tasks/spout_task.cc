@@ -241,6 +241,7 @@ void SpoutTask::emit_any(std::string_view stream, Values&& values, int task, con
   emitter_.choose(stream, values, task);
   bump(counts_.emitted);
   bump(counts_.transferred, emitter_.chosen());
+  emitter_.count_for_stream();
   const std::int64_t born = asked_ns_ == 0 && environment_.has_deadlines ? topology_ns() : asked_ns_;
   if (taps_.any()) offer_emitted(values, born);
   if (emitter_.chosen() > 0) {

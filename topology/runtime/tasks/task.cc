@@ -44,6 +44,7 @@ TaskSnapshot Task::snapshot() const {
   snapshot.spout = is_spout();
   snapshot.emitted = counts_.emitted.load(std::memory_order_relaxed);
   snapshot.transferred = counts_.transferred.load(std::memory_order_relaxed);
+  snapshot.streams = emitter_.counts(snapshot.emitted, snapshot.transferred);
   snapshot.executed = counts_.executed.load(std::memory_order_relaxed);
   snapshot.acked = counts_.acked.load(std::memory_order_relaxed);
   snapshot.failed = counts_.failed.load(std::memory_order_relaxed);
