@@ -70,6 +70,12 @@ TEST_F(ConsoleCallsTest, AnOrderIsCarriedOutForWhomMayGiveItAndWrittenDown) {
   EXPECT_EQ(order.at("active"), false);
 }
 
+TEST_F(ConsoleCallsTest, AskWhichPluginsGatewaysHaveAndNameThoseThatAreSilent) {
+  const auto known = call("vera", "plugins", {{"gateways", {"lab1"}}});
+  EXPECT_TRUE(known.at("plugins").is_array());
+  EXPECT_TRUE(known.at("silent").contains("lab1")) << "the gateway of this test has no service: " << known;
+}
+
 TEST_F(ConsoleCallsTest, AnOrderOfAViewerIsRefusedAndWrittenDown) {
   const auto refused = call("vera", "order", {{"order", "stop"}, {"with", {{"instances", {"a"}}}}});
   EXPECT_TRUE(refused.at("refused"));

@@ -71,16 +71,79 @@ await until("and the page shows it", async () => (await admin.textContent(".rows
 await admin.locator(".acts >> text=Start").click();
 await admin.locator("dialog button[type=submit]").click();
 await until("it is started", async () => (await ask(`state ${instance} gateway-1`)) === "active");
+
+/** Says yes to the question; what the order came to is told. */
+async function yes(told, typed = "") {
+  if (typed) await admin.fill("dialog input", typed);
+  await admin.locator("dialog button[type=submit]").click();
+  await until(`it is told: ${told}`, async () => (await admin.locator(".notice.good", {hasText: told}).count()) > 0);
+}
+await admin.goto(`${url}#/instance/gateway-1/${instance}`);
+const button = (name) => admin.locator(".acts").getByRole("button", {name, exact: true});
+await button("Restart").click();
+await yes("Restart");
+const describe = admin.locator("form", {has: admin.locator("text=Key")});
+await describe.locator("input").nth(0).fill("room");
+await describe.locator("input").nth(1).fill("12");
+await describe.locator("button").click();
+await yes("Describe");
+await until("its metadata are shown", async () => (await admin.textContent("section[aria-label=Record]")).includes("room12"));
+check("a person's order made it", (await admin.textContent("section[aria-label=Record]")).includes("a person's order"));
+const update = admin.locator("form", {has: admin.locator("text=Property")});
+await until("its gateway's plugins are there", async () => (await update.locator("select").textContent()).includes("replay.so"));
+await update.locator("input").nth(0).fill("rate");
+await update.locator("input").nth(1).fill("25");
+await update.locator("button").click();
+await yes("Update");
+await until("it has the property", async () => (await admin.textContent("section[aria-label=Record] details")).includes("rate25"));
+check("it is active again", (await ask(`state ${instance} gateway-1`)) === "active");
+const plugin = await update.locator("option", {hasText: "replay.so"}).getAttribute("value");
+await update.locator("select").selectOption(plugin);
+await update.locator("button").click();
+await admin.locator("dialog button[type=submit]").click();
+await admin.locator(".notice.bad", {hasText: "Update"}).waitFor();
+await until("one that does not come up with another plugin goes back", async () => (await ask(`state ${instance} gateway-1`)) === "active");
+await button("Undeploy").click();
+await yes("Undeploy");
+await until("it is gone", async () => admin.url().endsWith("#/fleet") && (await admin.textContent("#number")) === "5 instances");
+await admin.goto(`${url}#/overview`);
+await admin.locator("tbody tr", {hasText: "gateway-2"}).locator("text=Drain").click();
+await yes("Drain");
+await admin.locator(".faults li", {hasText: "gateway-2 drains"}).locator("text=End draining").click();
+await until("it drains no longer", async () => (await admin.locator(".faults li", {hasText: "gateway-2 drains"}).count()) === 0);
+const refused = await viewer.evaluate(async () => (await fetch("/api/call/order", {
+  method: "POST", headers: {"Content-Type": "application/json"}, body: JSON.stringify({order: "drain", with: {gateways: ["gateway-2"]}}),
+})).json());
+check("an act of a viewer is refused", refused.refused && refused.summary.includes("vera is viewer"), refused);
 await admin.goto(`${url}#/topology/echo`);
+await admin.locator(".rebalance input").last().fill("1");
+await admin.locator(".rebalance button").click();
+await yes("Rebalance");
 await admin.locator(".acts >> text=Deactivate").click();
 await admin.locator("dialog button[type=submit]").click();
 await until("the topology is inactive", async () => (await admin.textContent("h1")).includes("inactive"));
 await admin.locator(".acts >> text=/^Activate/").click();
 await until("the topology is active", async () => !(await admin.textContent("h1")).includes("inactive"));
 const audit = await ask("audit");
-check("the audit log says who did it", ["stop", "start"].every((order) => audit.some((line) => line.who === "anna" && line.what.includes(order))), audit.slice(-4));
+check("the audit log says who did it", ["stop", "start", "restart", "undeploy", "drain"].every((order) => audit.some((line) => line.who === "anna" && line.what.includes(order))), audit.slice(-4));
 await admin.goto(`${url}#/history`);
 await until("and so does the page", async () => (await admin.textContent("section[aria-label='Who did what']")).includes("anna"));
+
+// ---- a master that is killed while the page is open
+
+await admin.goto(`${url}#/topology/echo`);
+await admin.waitForSelector(".graph .node");
+await ask("kill");
+await admin.waitForSelector(".banner[role=alert]");
+await until("the page goes to the other master", async () => admin.url().startsWith(options.other));
+await admin.fill("input[name=token]", tokens.anna);
+await admin.click("button[type=submit]");
+await admin.waitForSelector(".quiet-banner");
+check("and says so", (await admin.textContent(".quiet-banner")).includes(`private-${options.leader} did not answer`), await admin.textContent(".quiet-banner"));
+check("at the same page", admin.url().includes("#/topology/echo"), admin.url());
+await until("it leads now", async () => (await admin.textContent(".link")).includes("leads"));
+await admin.locator(".acts >> text=Kill").click();
+await yes("Kill", "echo");
 check("the pages had no fault", admin.faults.concat(viewer.faults).length === 0, admin.faults.concat(viewer.faults));
 
 await end(browser);

@@ -3,6 +3,7 @@
 import {readFile} from "node:fs/promises";
 import {accessibility, ask, check, end, launch, logIn, open, options, picture, until} from "./pages.mjs";
 
+import {acts} from "./stand_acts.mjs";
 import {wayAndTroubles} from "./stand_ways.mjs";
 
 const browser = await launch();
@@ -104,16 +105,6 @@ await until("rates are there", async () => /\d\/s/.test(await admin.textContent(
 check("distributions are drawn", (await admin.locator(".spread rect").count()) > 10);
 await accessibility(admin, "a topology");
 
-await admin.locator(".acts >> text=Kill").click();
-check("a kill asks for the name", await admin.locator("dialog button[type=submit]").isDisabled());
-await admin.locator("dialog input").fill("follow");
-await admin.locator("dialog button[type=submit]").click();
-await until("the kill came", async () => (await ask("orders")).some((order) => order.change === "kill"));
-await admin.locator(".rebalance input").first().fill("4");
-await admin.locator(".rebalance button").click();
-await admin.locator("dialog button[type=submit]").click();
-await until("the rebalance came", async () => (await ask("orders")).some((order) => order.change === "rebalance" && order.parallelism.decode === 4));
-
 // ---- history and its export
 
 await admin.goto(`${url}#/history`);
@@ -134,6 +125,7 @@ await admin.locator("input[type=datetime-local]").nth(1).fill("2020-01-01T00:00"
 await until("nor what is later", async () => (await admin.textContent("section[aria-label='Changes of state']")).includes("0 changes"));
 
 await wayAndTroubles(admin, url);
+await acts(admin, url);
 
 check("no hostile text was run", !(await admin.evaluate(() => window.hacked)));
 check("the page had no fault", admin.faults.length === 0, admin.faults);
@@ -170,9 +162,12 @@ check("a page of another site reads nothing", stolen === "blocked" || stolen ===
 
 const phone = await open(browser, {viewport: {width: 360, height: 740}, isMobile: true, hasTouch: true});
 await logIn(phone, url, tokens.otto);
-for (const [name, path] of [["overview", ""], ["fleet", "#/fleet"], ["topology", "#/topology/follow"], ["history", "#/history"]]) {
+const seen = "gateway=gateway-3&instance=00000000000000000000000000000002";
+for (const [name, path, has] of [["overview", "", ".faults li"], ["fleet", "#/fleet", ".rows .line"], ["instance", "#/instance/gateway-2/00000000000000000000000000000001", ".log"],
+                                 ["topology", "#/topology/follow", ".graph .node"], ["tap", `#/tap?${seen}&channel=data`, ".messages li"],
+                                 ["message's way", `#/way?${seen}`, "svg.way"], ["history", "#/history", "tbody tr"]]) {
   await phone.goto(url + path);
-  await phone.waitForSelector("h1");
+  await phone.waitForSelector(has);
   const wide = await phone.evaluate(() => document.documentElement.scrollWidth - innerWidth);
   check(`the ${name} fits a phone`, wide <= 1, `${wide} pixels too wide`);
 }

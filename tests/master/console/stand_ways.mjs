@@ -105,6 +105,18 @@ export async function wayAndTroubles(page, url) {
   const all = await emitted();
   await span.selectOption({index: 1});
   check("of the last seconds fewer tuples are counted than since the start", (await emitted()) < all, `${await emitted()} ${all}`);
+  const stream = (name) => page.locator("section[aria-label=Streams] tbody tr", {has: page.locator("td:first-child", {hasText: "decode"})}).filter({hasText: name});
+  const number = async (of) => parseFloat((await of.locator("td").nth(4).textContent()).replace(" k", "e3"));
+  await until("each stream has its rate", async () => (await number(stream("default"))) > 3 * (await number(stream("alerts"))) && (await number(stream("alerts"))) > 0);
+  check("and its readers", (await stream("alerts").textContent()).includes("commands (all)"));
+  check("an edge has its stream's rate", (await page.locator(".graph .edge", {hasText: "alerts"}).textContent()).includes("/s"));
+  await stream("alerts").locator("text=Look").click();
+  const message = page.locator(".messages li");
+  await until("tuples of one stream are there", async () => (await message.count()) && (await message.first().textContent()).includes("decode alerts"));
+  await page.goto(`${url}#/tap?topology=follow&component=kinect`);
+  await until("another component's tap is another one", async () => (await message.count()) && (await message.first().textContent()).includes("kinect default"));
+  await until("the tap that was left has ended", async () => (await message.count()) && (await message.first().textContent()).includes('"taps": 1'));
+  await page.goto(`${url}#/topology/follow`);
   const units = page.locator("section[aria-label='Who reads what']");
   await units.locator("button").click();
   await until("units are there", async () => (await units.textContent()).includes("gateway-1.turtle"));
