@@ -7,6 +7,7 @@
 #include <fmt/ranges.h>
 
 #include <iotcloud/config/error.h>
+#include <iotcloud/config/utf8.h>
 #include <iotcloud/gateway/provisioning/template.h>
 #include <iotcloud/security/sha256.h>
 
@@ -73,35 +74,13 @@ std::optional<std::string> as_path(const std::string& value) {
   return good ? std::optional(value) : std::nullopt;
 }
 
-/// Whether the bytes are UTF-8 of code points that Unicode has (overlong forms and surrogates are none).
-bool is_utf8(std::string_view text) {
-  for (std::size_t at = 0; at < text.size();) {
-    const auto first = static_cast<unsigned char>(text[at]);
-    const std::size_t length = first < 0x80                    ? 1
-                               : first >= 0xc2 && first < 0xe0 ? 2
-                               : first >= 0xe0 && first < 0xf0 ? 3
-                               : first >= 0xf0 && first < 0xf5 ? 4
-                                                               : 0;
-    if (length == 0 || at + length > text.size()) return false;
-    for (std::size_t i = 1; i < length; ++i) {
-      if ((static_cast<unsigned char>(text[at + i]) & 0xc0) != 0x80) return false;
-    }
-    const unsigned second = length > 1 ? static_cast<unsigned char>(text[at + 1]) : 0;
-    if ((first == 0xe0 && second < 0xa0) || (first == 0xed && second > 0x9f) || (first == 0xf0 && second < 0x90) ||
-        (first == 0xf4 && second > 0x8f))
-      return false;
-    at += length;
-  }
-  return true;
-}
-
 std::optional<std::string> as_topic(const std::string& value) {
   constexpr std::size_t longest = 1024;
   const auto is_bad = [](char c) {
     return is_control(c) || std::string_view("#+,=").find(c) != std::string_view::npos;
   };
   const bool good = !value.empty() && value.size() <= longest && value.front() != '$' && value.front() != ' ' &&
-                    value.back() != ' ' && std::none_of(value.begin(), value.end(), is_bad) && is_utf8(value);
+                    value.back() != ' ' && std::none_of(value.begin(), value.end(), is_bad) && config::is_utf8(value);
   return good ? std::optional(value) : std::nullopt;
 }
 
@@ -122,7 +101,8 @@ std::optional<std::string> as_topics(const std::string& value) {
 
 std::optional<std::string> as_text(const std::string& value) {
   constexpr std::size_t longest = 256;
-  const bool good = value.size() <= longest && std::none_of(value.begin(), value.end(), is_control) && is_utf8(value);
+  const bool good =
+      value.size() <= longest && std::none_of(value.begin(), value.end(), is_control) && config::is_utf8(value);
   return good ? std::optional(value) : std::nullopt;
 }
 

@@ -3,6 +3,7 @@
 #include <limits>
 #include <string_view>
 
+#include <iotcloud/config/utf8.h>
 #include <iotcloud/topology/storm/value_format.h>
 
 namespace iotcloud::topology::storm {
@@ -16,40 +17,6 @@ enum class Kind : std::uint8_t { null, no, yes, integer, real, string, payload, 
 constexpr std::size_t most_bytes = std::numeric_limits<std::int32_t>::max();
 constexpr std::size_t count_size = sizeof(std::uint32_t);
 
-/// Length of the UTF-8 sequence at the beginning of `text`; 0: it is none.
-std::size_t sequence_at(std::string_view text) {
-  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
-  const unsigned first = byte(0);
-  if (first < 0x80) return 1;
-  const std::size_t size = first >= 0xF0 ? 4 : first >= 0xE0 ? 3 : 2;
-  if (first < 0xC2 || first > 0xF4 || text.size() < size) return 0;
-  for (std::size_t i = 1; i < size; ++i) {
-    if ((byte(i) & 0xC0) != 0x80) return 0;
-  }
-  const unsigned second = byte(1);
-  const bool overlong = (first == 0xE0 && second < 0xA0) || (first == 0xF0 && second < 0x90);
-  const bool surrogate = first == 0xED && second >= 0xA0;
-  const bool beyond = first == 0xF4 && second >= 0x90;
-  return overlong || surrogate || beyond ? 0 : size;
-}
-
-bool is_utf8(std::string_view text) {
-  while (!text.empty()) {
-    std::uint64_t eight = 0;
-    if (text.size() >= sizeof eight) {
-      std::memcpy(&eight, text.data(), sizeof eight);
-      if ((eight & 0x8080808080808080ULL) == 0) {
-        text.remove_prefix(sizeof eight);
-        continue;
-      }
-    }
-    const std::size_t size = sequence_at(text);
-    if (size == 0) return false;
-    text.remove_prefix(size);
-  }
-  return true;
-}
-
 std::size_t size_of_bytes(std::size_t size) {
   if (size > most_bytes) throw ValueFormatError("a value of " + std::to_string(size) + " bytes; Java takes 2 GiB");
   return 1 + count_size + size;
@@ -57,7 +24,7 @@ std::size_t size_of_bytes(std::size_t size) {
 
 std::size_t size_of(const Value& value) {
   if (const auto* text = std::get_if<std::string>(&value)) {
-    if (!is_utf8(*text)) throw ValueFormatError("a string that is not UTF-8; bytes go into a Payload");
+    if (!config::is_utf8(*text)) throw ValueFormatError("a string that is not UTF-8; bytes go into a Payload");
     return size_of_bytes(text->size());
   }
   if (const auto* payload = std::get_if<Payload>(&value)) return size_of_bytes(payload->size());

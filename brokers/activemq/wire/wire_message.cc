@@ -14,6 +14,7 @@
 #include <iotcloud/brokers/limits.h>
 #include <iotcloud/brokers/metadata_names.h>
 #include <iotcloud/config/number.h>
+#include <iotcloud/config/utf8.h>
 
 namespace iotcloud::brokers::activemq {
 namespace {
@@ -26,34 +27,9 @@ bool reserved(std::string_view name) {
   return metadata::is_original(name) || name == index_property || name == resent_property;
 }
 
-/// Length of the UTF-8 character at the start of `text`; 0 when there is no valid one.
-std::size_t character_at(std::string_view text) {
-  const auto byte = [&](std::size_t i) { return static_cast<unsigned char>(text[i]); };
-  const unsigned char first = byte(0);
-  if (first < 0x80) return 1;
-  const std::size_t length = first >= 0xf0 ? 4 : first >= 0xe0 ? 3 : 2;
-  if (first < 0xc2 || first > 0xf4 || text.size() < length) return 0;
-  for (std::size_t i = 1; i < length; ++i) {
-    if ((byte(i) & 0xc0U) != 0x80) return 0;
-  }
-  const bool overlong = (first == 0xe0 && byte(1) < 0xa0) || (first == 0xf0 && byte(1) < 0x90);
-  const bool surrogate = first == 0xed && byte(1) >= 0xa0;
-  const bool too_large = first == 0xf4 && byte(1) >= 0x90;
-  return overlong || surrogate || too_large ? 0 : length;
-}
-
-bool is_utf8(std::string_view text) {
-  while (!text.empty()) {
-    const std::size_t length = character_at(text);
-    if (length == 0) return false;
-    text.remove_prefix(length);
-  }
-  return true;
-}
-
 /// Whether a JMS server passes a property of this name on unchanged and gives it no meaning.
 bool plain_name(std::string_view name) {
-  if (name.empty() || name.starts_with("JMS") || name.starts_with("AMQ_") || !is_utf8(name)) return false;
+  if (name.empty() || name.starts_with("JMS") || name.starts_with("AMQ_") || !config::is_utf8(name)) return false;
   return name.find('\0') == std::string_view::npos;
 }
 
@@ -210,7 +186,7 @@ void write_properties(AmqpWriter& writer, const Message& message, bool resent) {
     count += 2;
   };
   const auto put_id = [&](std::string_view name, const std::string& value) {
-    if (is_utf8(value)) {
+    if (config::is_utf8(value)) {
       put(name, value);
     } else {
       index.add(name, value);
@@ -222,7 +198,7 @@ void write_properties(AmqpWriter& writer, const Message& message, bool resent) {
   if (resent) put(resent_property, "1");
   for (const auto& [name, value] : message.properties) {
     if (reserved(name)) continue;
-    if (plain_name(name) && is_utf8(value)) {
+    if (plain_name(name) && config::is_utf8(value)) {
       put(name, value);
       index.add(name);
     } else {
