@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <charconv>
 #include <cmath>
 #include <stdexcept>
@@ -84,6 +85,18 @@ void PropertyReader::finish() const {
     throw std::invalid_argument("unknown property \"" + name + "\"; this driver knows: " + list(known_) +
                                 " (and channel.NAME.* for its channels)");
   }
+}
+
+std::vector<std::string> words_of(const std::string& list, char separator) {
+  constexpr const char* blanks = " \t\r\n";
+  std::vector<std::string> words;
+  for (std::size_t at = 0; at <= list.size();) {
+    const std::size_t end = std::min(list.find(separator, at), list.size());
+    const auto first = list.find_first_not_of(blanks, at);
+    if (first < end) words.push_back(list.substr(first, list.find_last_not_of(blanks, end - 1) - first + 1));
+    at = end + 1;
+  }
+  return words;
 }
 
 }  // namespace iotcloud::drivers

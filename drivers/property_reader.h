@@ -36,4 +36,7 @@ class PropertyReader {
   std::set<std::string> known_;
 };
 
+/// The words of a list in a property, such as "a, b": without the blanks around them, and without empty ones.
+std::vector<std::string> words_of(const std::string& list, char separator = ',');
+
 }  // namespace iotcloud::drivers

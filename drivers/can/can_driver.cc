@@ -19,7 +19,6 @@ namespace iotcloud::drivers::can {
 namespace {
 
 constexpr int reads_at_once = 64;  // then other handlers of the event thread have their turn
-constexpr std::chrono::milliseconds first_pause{500}, most_pause{30'000};
 
 struct Id {
   std::uint32_t number = 0;
@@ -53,12 +52,7 @@ bool is_true(const Message& message, std::string_view property) {
 
 std::vector<Filter> read_filters(const std::string& text) {
   std::vector<Filter> filters;
-  for (std::size_t at = 0; at <= text.size();) {
-    const std::size_t end = std::min(text.find(',', at), text.size());
-    std::string word = text.substr(at, end - at);
-    at = end + 1;
-    std::erase(word, ' ');
-    if (word.empty()) continue;
+  for (const std::string& word : words_of(text)) {
     const auto colon = word.find(':');
     const auto id = read_id(word.substr(0, colon));
     if (!id)
@@ -130,7 +124,7 @@ void CanDriver::open(DriverContext& context) {
   context_ = &context;
   lost_.emplace(context);
   errors_.emplace(context);
-  retry_.emplace(context, stream::ReconnectPauses{first_pause, most_pause});
+  retry_.emplace(context, stream::ReconnectPauses{});
   state_.emplace(context);
   connect();
 }

@@ -2,7 +2,6 @@
 #include <array>
 #include <cctype>
 #include <map>
-#include <sstream>
 #include <stdexcept>
 
 #include <arpa/inet.h>
@@ -68,10 +67,7 @@ void read_texts(const unsigned char* at, std::size_t size, PropertyMap& attribut
 }  // namespace
 
 void MdnsFinder::read_properties(PropertyReader& reader) {
-  std::istringstream words(reader.text("services", ""));
-  for (std::string word; std::getline(words, word, ',');) {
-    word.erase(0, word.find_first_not_of(' '));
-    word.erase(word.find_last_not_of(' ') + 1);
+  for (const std::string& word : words_of(reader.text("services", ""))) {
     const bool good = word.size() > 6 && word.size() < 64 && word.front() == '_' &&
                       (word.ends_with("._tcp") || word.ends_with("._udp")) &&
                       std::count(word.begin(), word.end(), '.') == 1;

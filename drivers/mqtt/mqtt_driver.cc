@@ -18,23 +18,6 @@ const char* pattern_of(const std::string& filter) {
   return slash == std::string::npos ? filter.c_str() : filter.c_str() + slash + 1;
 }
 
-std::string without_blanks(const std::string& text) {
-  const auto first = text.find_first_not_of(" \t\n");
-  if (first == std::string::npos) return "";
-  return text.substr(first, text.find_last_not_of(" \t\n") - first + 1);
-}
-
-/// The words between commas.
-std::vector<std::string> words_of(const std::string& text) {
-  std::vector<std::string> words;
-  for (std::size_t at = 0; at <= text.size();) {
-    const std::size_t end = std::min(text.find(',', at), text.size());
-    if (std::string word = without_blanks(text.substr(at, end - at)); !word.empty()) words.push_back(std::move(word));
-    at = end + 1;
-  }
-  return words;
-}
-
 }  // namespace
 
 std::vector<Subscription> read_subscriptions(const std::string& text) {

@@ -47,11 +47,8 @@ void UsbFinder::Unref::operator()(udev_monitor* monitor) const {
 
 std::vector<ChannelSpec> UsbFinder::channels(const PropertyMap& properties) {
   PropertyReader reader(properties);
-  std::istringstream words(reader.text("subsystems", "tty, video4linux, hidraw"));
-  for (std::string word; std::getline(words, word, ',');) {
-    word.erase(0, word.find_first_not_of(' '));
-    word.erase(word.find_last_not_of(' ') + 1);
-    if (word.empty() || word.find('/') != std::string::npos)
+  for (const std::string& word : words_of(reader.text("subsystems", "tty, video4linux, hidraw"))) {
+    if (word.find('/') != std::string::npos)
       throw std::invalid_argument("property \"subsystems\" has \"" + word + "\"; it takes names such as tty");
     subsystems_.insert(word);
   }

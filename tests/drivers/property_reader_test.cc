@@ -33,6 +33,12 @@ TEST(PropertyReader, reads_values_and_falls_back) {
   EXPECT_NO_THROW(reader.finish());
 }
 
+TEST(PropertyReader, takes_a_list_apart) {
+  EXPECT_THAT(words_of(" a , b c,,\td\n, "), ::testing::ElementsAre("a", "b c", "d"));
+  EXPECT_THAT(words_of("a:b", ':'), ::testing::ElementsAre("a", "b"));
+  EXPECT_THAT(words_of(" "), ::testing::IsEmpty());
+}
+
 TEST(PropertyReader, refuses_what_is_no_number_or_out_of_range) {
   for (const std::string value : {"", "1x", " 1", "0x10", "nan", "inf", "1e999", "11", "-1"}) {
     const PropertyMap properties{{"speed", value}};

@@ -97,7 +97,7 @@ TEST(UsbFinder, finds_whole_devices_and_only_the_subsystems_that_it_is_asked_for
   ASSERT_TRUE(finder.start()) << finder.error();
   ASSERT_THAT(finder.host().found(), SizeIs(1));
   EXPECT_EQ(finder.host().found().begin()->second.at("path"), "/dev/bus/usb/001/A1");
-  MockInstance wrong(finder_plugin(), {{"subsystems", "tty,,usb"}});
+  MockInstance wrong(finder_plugin(), {{"subsystems", "tty, a/b"}});
   EXPECT_FALSE(wrong.start());
   EXPECT_THAT(wrong.error(), HasSubstr("names such as tty"));
 }
