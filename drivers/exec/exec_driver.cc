@@ -179,17 +179,17 @@ void ExecDriver::connect() {
   int why = child < 0 ? errno : 0;
   if (child > 0 && ::read(problem.out, &why, sizeof why) > 0) waitpid(child, nullptr, 0);
   if (why != 0) return away(command_.front() + " cannot be started: " + std::strerror(why));
-  process_ = child;
+  process_ = child;  // which close() ends, whatever happens here
   how_.clear();
-  watch_program(Pipe::take(errors.out));
+  errors_ = Pipe::take(errors.out);
+  watch_program();
   connected(Pipe::take(output.out), Pipe::take(input.in), {{"process", std::to_string(process_)}});
 }
 
-void ExecDriver::watch_program(int errors) {
+void ExecDriver::watch_program() {
   handle_ = static_cast<int>(syscall(SYS_pidfd_open, process_, 0));  // closed when a program is executed
   if (handle_ < 0) throw std::runtime_error(std::string("cannot watch the program: ") + std::strerror(errno));
   handle_watch_ = context().on_readable(handle_, [this] { program_ended(); });
-  errors_ = errors;
   errors_watch_ = context().on_readable(errors_, [this] { read_errors(); });
 }
 
@@ -219,8 +219,10 @@ void ExecDriver::finish() {
 
 void ExecDriver::read_errors() {
   if (errors_ < 0) return;
+  // A program may write faster than this reads: then other handlers of the event thread have their turn.
+  constexpr int reads_at_once = 32;
   std::array<char, 4096> buffer;
-  for (;;) {
+  for (int i = 0; i < reads_at_once; ++i) {
     const ssize_t count = ::read(errors_, buffer.data(), buffer.size());
     if (count > 0) {
       error_line_.append(buffer.data(), static_cast<std::size_t>(count));

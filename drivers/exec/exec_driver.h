@@ -52,7 +52,7 @@ class ExecDriver : public stream::ConnectingDriver {
   void ended(const std::string& reason) override;
 
  private:
-  void watch_program(int errors);
+  void watch_program();
   void program_ended();
   void finish();
   void read_errors();

@@ -63,6 +63,9 @@ std::string SerialDriver::set_line(int descriptor) const {
   line.c_cc[VTIME] = 0;
   if (tcsetattr(descriptor, TCSANOW, &line) != 0)
     return std::string(" does not take these settings: ") + std::strerror(errno);
+  // It says that it has set a line of which it has set a part.
+  termios set{};
+  if (tcgetattr(descriptor, &set) != 0 || cfgetospeed(&set) != speed) return " does not take a baud of " + baud_;
   tcflush(descriptor, TCIOFLUSH);  // what came before belongs to nobody
   return "";
 }

@@ -3,6 +3,7 @@
 #include <charconv>
 #include <chrono>
 #include <cstring>
+#include <memory>
 #include <stdexcept>
 #include <utility>
 
@@ -45,11 +46,14 @@ Resolver::Answer look_up(const HostPort& name) {
       problem != 0) {
     return "the name " + name.host + " has no address: " + gai_strerror(problem);
   }
-  Address address;
-  std::memcpy(&address.storage, found->ai_addr, found->ai_addrlen);
-  address.size = found->ai_addrlen;
-  freeaddrinfo(found);
-  return address;
+  const std::unique_ptr<addrinfo, decltype(&freeaddrinfo)> owned(found, &freeaddrinfo);
+  std::vector<Address> addresses;
+  for (const addrinfo* one = found; one != nullptr; one = one->ai_next) {
+    Address& address = addresses.emplace_back();
+    std::memcpy(&address.storage, one->ai_addr, one->ai_addrlen);
+    address.size = one->ai_addrlen;
+  }
+  return addresses;
 }
 
 }  // namespace
@@ -105,7 +109,7 @@ Resolver::~Resolver() {
 
 void Resolver::resolve(const HostPort& name, std::function<void(const Answer&)> callback) {
   if (wanted_) *wanted_ = false;
-  if (Address address; read_number(name, address)) return callback(address);
+  if (Address address; read_number(name, address)) return callback(std::vector{address});
   if (thread_.joinable()) thread_.join();
   wanted_ = std::make_shared<bool>(true);
   thread_ = std::thread([this, name, wanted = wanted_, callback = std::move(callback)] {
@@ -133,12 +137,16 @@ void Dialer::dial(const HostPort& name, std::function<void(const Answer&)> callb
       const auto call = callback_;  // a copy: the callback may dial again
       return call(*problem);
     }
-    connect(std::get<Address>(answer));
+    const auto& found = std::get<std::vector<Address>>(answer);
+    addresses_.assign(found.rbegin(), found.rend());
+    connect();
   });
 }
 
-void Dialer::connect(const Address& address) {
+void Dialer::connect() {
   constexpr std::chrono::seconds limit{10};
+  const Address address = addresses_.back();
+  addresses_.pop_back();
   socket_ = ::socket(address.family(), SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
   if (socket_ < 0 || (::connect(socket_, address.get(), address.size) != 0 && errno != EINPROGRESS))
     return fail(std::strerror(errno));
@@ -165,8 +173,9 @@ void Dialer::stop() {
 }
 
 void Dialer::fail(const std::string& why) {
-  const std::string problem = "cannot connect to " + whom_ + ": " + why;
   stop();
+  if (!addresses_.empty()) return connect();
+  const std::string problem = "cannot connect to " + whom_ + ": " + why;
   const auto callback = callback_;  // a copy: the callback may dial again
   callback(problem);
 }

@@ -7,6 +7,7 @@
 #include <string>
 #include <thread>
 #include <variant>
+#include <vector>
 
 #include <sys/socket.h>
 
@@ -49,7 +50,8 @@ class Resolver {
   Resolver(const Resolver&) = delete;
   Resolver& operator=(const Resolver&) = delete;
 
-  using Answer = std::variant<Address, std::string>;  ///< the text: why there is none
+  /// The addresses, one at least, the most promising first; or why there is none.
+  using Answer = std::variant<std::vector<Address>, std::string>;
   /// Calls back on the event thread, or at once for a number; not after the destructor, nor after another call.
   void resolve(const HostPort& name, std::function<void(const Answer&)> callback);
 
@@ -62,7 +64,8 @@ class Resolver {
 /// Makes a TCP connection send at once what is small, and find out by itself that the other end is gone.
 void prepare_connection(int socket);
 
-/// Connects to a TCP port. The instance's event thread makes all calls.
+/// Connects to a TCP port: tries one address of its machine after the other. The instance's event thread makes all
+/// calls.
 class Dialer {
  public:
   explicit Dialer(DriverContext& context) : context_(context), resolver_(context) {}
@@ -75,7 +78,7 @@ class Dialer {
   void dial(const HostPort& name, std::function<void(const Answer&)> callback);
 
  private:
-  void connect(const Address& address);
+  void connect();
   void connected(int socket);
   void stop();
   void fail(const std::string& why);
@@ -84,7 +87,8 @@ class Dialer {
   Resolver resolver_;
   std::string whom_;
   std::function<void(const Answer&)> callback_;
-  int socket_ = -1;  ///< it is being connected
+  std::vector<Address> addresses_;  ///< to be tried, the next one at the back
+  int socket_ = -1;                 ///< it is being connected
   std::optional<HandlerId> writable_, limit_;
 };
 

@@ -94,6 +94,8 @@ bool FrameLink::hand_over() {
       if (!*alive) return false;
       if (!taken) {
         if (readable_) context_.stop(*std::exchange(readable_, std::nullopt));
+        // Whole frames wait behind this one, which are not to be forgotten with an unfinished one.
+        if (unfinished_) context_.stop(*std::exchange(unfinished_, std::nullopt));
         return false;
       }
       frame_.reset();
@@ -110,6 +112,7 @@ void FrameLink::resume() {
   if (!hand_over() || !*alive) return;
   silent_ticks_ = 0;
   watch_input();
+  watch_unfinished();
 }
 
 void FrameLink::watch_unfinished() {

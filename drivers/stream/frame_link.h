@@ -21,7 +21,7 @@ class FrameLink {
   struct Handlers {
     /// false: it cannot be taken now, and comes again after resume().
     std::function<bool(const Payload&)> on_frame;
-    std::function<void(const std::string&)> on_end;  ///< called once, with the reason; never from inside a call
+    std::function<void(const std::string&)> on_end;  ///< called once, with the reason; perhaps from inside resume()
   };
   struct Options {
     FramingOptions framing;

@@ -66,7 +66,7 @@ class StreamDriver : public Driver {
   void on_writable(std::string_view channel) override;
 
  protected:
-  /// Reads the driver's own properties, from channels() and open(). \throws std::invalid_argument
+  /// Reads the driver's own properties; channels() calls it. \throws std::invalid_argument
   virtual void read(PropertyReader& reader) = 0;
   /// Looks for the device; open() calls it.
   virtual void connect() = 0;

@@ -62,15 +62,26 @@ void TcpDriver::listen() {
   }
   listener_ = listener;
   const std::string address = stream::address_of(listener_).text();
-  context().on_readable(listener_, [this] { accept(); });
+  watch_listener();
   context().log(LogLevel::info, "devices may connect to " + address);
   context().update_metadata({{"listen", address}});
   tell_peers();
 }
 
+void TcpDriver::watch_listener() {
+  acceptable_ = context().on_readable(listener_, [this] { accept(); });
+}
+
 void TcpDriver::accept() {
+  constexpr std::chrono::milliseconds pause{100};
   stream::Address from;
   const int socket = accept4(listener_, from.get(), &from.size, SOCK_NONBLOCK | SOCK_CLOEXEC);
+  if (socket < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM)) {
+    // Whoever wants to connect waits, and would call this function again and again.
+    turned_away_->warn(std::string("a device has to wait: ") + std::strerror(errno));
+    context().stop(*std::exchange(acceptable_, std::nullopt));
+    context().after(pause, [this] { watch_listener(); });
+  }
   if (socket < 0) return;
   const std::string name = from.text();
   if (guests_.size() >= most_peers_) {

@@ -51,6 +51,7 @@ class TcpDriver : public stream::ConnectingDriver {
 
  private:
   void listen();
+  void watch_listener();
   void accept();
   void tell_peers();
 
@@ -61,6 +62,7 @@ class TcpDriver : public stream::ConnectingDriver {
   std::chrono::milliseconds silence_{0};
   std::optional<stream::Dialer> dialer_;
   int listener_ = -1;
+  std::optional<HandlerId> acceptable_;
   std::optional<stream::RareLog> turned_away_;
   std::map<std::string, std::unique_ptr<stream::FrameLink>> guests_;  ///< by their addresses
 };

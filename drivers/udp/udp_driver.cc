@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
@@ -16,7 +17,6 @@ namespace iotcloud::drivers::udp {
 namespace {
 
 constexpr int reads_at_once = 64;  // then other handlers of the event thread have their turn
-constexpr std::chrono::milliseconds first_pause{500}, most_pause{30'000};
 
 }  // namespace
 
@@ -38,7 +38,7 @@ void UdpDriver::read(PropertyReader& reader) {
 
 void UdpDriver::open(DriverContext& context) {
   resolver_.emplace(context);
-  retry_.emplace(context, stream::ReconnectPauses{first_pause, most_pause});
+  retry_.emplace(context, stream::ReconnectPauses{});
   dropped_.emplace(context);
   refused_.emplace(context);
   StreamDriver::open(context);
@@ -57,7 +57,17 @@ void UdpDriver::connect() {
       tell_away(*problem);
       return retry_->later([this] { connect(); });
     }
-    device_ = std::get<stream::Address>(answer);
+    // A socket sends to addresses of its own family only.
+    const auto& found = std::get<std::vector<stream::Address>>(answer);
+    const auto fits = [this](const stream::Address& one) {
+      return listen_text_.empty() || one.family() == listen_.family();
+    };
+    const auto device = std::find_if(found.begin(), found.end(), fits);
+    if (device == found.end()) {
+      tell_away("the device has no address of the kind that " + listen_text_ + " is, IPv4 or IPv6");
+      return retry_->later([this] { connect(); });
+    }
+    device_ = *device;
     stream::Address any;  // of the same family, and any port
     any.storage.ss_family = device_->storage.ss_family;
     any.size = device_->size;
@@ -106,7 +116,8 @@ void UdpDriver::watch() {
 }
 
 void UdpDriver::receive() {
-  std::vector<std::byte> buffer(framing().most_bytes + 1);
+  constexpr std::size_t longest_datagram = 65'535;
+  std::vector<std::byte> buffer(std::min(framing().most_bytes, longest_datagram) + 1);
   for (int i = 0; i < reads_at_once; ++i) {
     stream::Address from;
     iovec bytes{buffer.data(), buffer.size()};

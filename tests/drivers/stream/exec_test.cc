@@ -44,6 +44,13 @@ TEST(Exec, logs_what_the_program_writes_to_stderr) {
   EXPECT_TRUE(texts(noisy, "received").empty());
 }
 
+TEST(Exec, hears_a_program_that_writes_to_stderr_without_end) {
+  MockInstance noisy(exec(), script("yes >&2 & echo reading; wait"));
+  ASSERT_TRUE(noisy.start()) << noisy.error();
+  ASSERT_TRUE(until_published(noisy, "received", 1));
+  EXPECT_THAT(texts(noisy, "received"), ElementsAre("reading"));
+}
+
 TEST(Exec, starts_a_program_again_that_ended_after_pauses_that_grow) {
   PropertyMap properties = script("echo started; exit 3");
   properties["reconnect_ms"] = "100";

@@ -127,6 +127,25 @@ TEST(Serial, forgets_a_frame_whose_end_does_not_come) {
   EXPECT_THAT(texts(scale, "received"), ElementsAre("yes"));
 }
 
+TEST(Serial, keeps_whole_frames_that_wait_for_its_channel_whatever_the_frame_limit_is) {
+  Line line;
+  testing::MockInstance scale(serial(), {{"device", line.path()}, {"framing", "length"}, {"frame_limit_ms", "50"}});
+  ASSERT_TRUE(scale.start()) << scale.error();
+  line.write(std::string("\0\5on", 4));
+  ASSERT_GT(scale.host().poll_descriptors(60s), 0U);  // its end is waited for
+  scale.host().answer_publish("received", PublishStatus::would_block);
+  line.write(std::string("e! \0\3two\0\5th", 12));
+  ASSERT_GT(scale.host().poll_descriptors(60s), 0U);
+  scale.host().advance(50ms);
+  scale.host().answer_publish("received", PublishStatus::accepted);
+  ASSERT_TRUE(scale.writable("received"));
+  EXPECT_THAT(texts(scale, "received"), ElementsAre("one! ", "two"));
+  scale.host().advance(50ms);  // the third one's end has not come
+  line.write(std::string("\0\4four", 6));
+  ASSERT_TRUE(until_published(scale, "received", 3));
+  EXPECT_THAT(texts(scale, "received"), ElementsAre("one! ", "two", "four"));
+}
+
 TEST(Serial, drops_frames_while_it_is_inactive) {
   Line line;
   testing::MockInstance scale(serial(), {{"device", line.path()}});

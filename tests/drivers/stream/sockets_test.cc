@@ -4,6 +4,7 @@
 #include <arpa/inet.h>
 #include <gmock/gmock.h>
 #include <netinet/in.h>
+#include <sys/resource.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
@@ -181,6 +182,26 @@ TEST(Tcp, serves_devices_that_connect_and_tells_them_apart) {
   ASSERT_TRUE(until_metadata(hub, "peers", "1"));
   ASSERT_TRUE(hub.deliver("send", to_second));
   EXPECT_EQ(hub.host().metadata()["connection"], "connected");
+}
+
+TEST(Tcp, lets_devices_wait_while_it_has_no_descriptor_for_them) {
+  MockInstance hub(tcp_plugin(), {{"listen", "127.0.0.1:0"}});
+  ASSERT_TRUE(hub.start()) << hub.error();
+  const Device waits(SOCK_STREAM, hub.host().metadata()["listen"]);
+  rlimit before{};
+  getrlimit(RLIMIT_NOFILE, &before);
+  const int next = dup(STDIN_FILENO);
+  ::close(next);
+  const rlimit none{static_cast<rlim_t>(next), before.rlim_max};
+  setrlimit(RLIMIT_NOFILE, &none);
+  const auto called = hub.host().poll_descriptors(60s);
+  const auto called_again = hub.host().poll_descriptors(0ms);
+  setrlimit(RLIMIT_NOFILE, &before);
+  EXPECT_EQ(called, 1U);
+  EXPECT_EQ(called_again, 0U) << "it would be called again and again";
+  EXPECT_EQ(hub.host().logged_count("a device has to wait"), 1U);
+  hub.host().advance(100ms);
+  EXPECT_TRUE(until_metadata(hub, "peers", "1"));
 }
 
 TEST(Tcp, reads_from_none_of_its_devices_while_its_channel_is_full) {
