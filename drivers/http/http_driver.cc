@@ -15,12 +15,20 @@ namespace {
 
 constexpr std::size_t shortest_token = 16;
 
+/// Whether it can be the value of a field in a request's head.
+bool is_field(const std::string& text) {
+  constexpr std::size_t longest = 1000;
+  return text.size() <= longest && std::all_of(text.begin(), text.end(), [](char c) {
+           return static_cast<unsigned char>(c) >= ' ' && c != '\x7f';
+         });
+}
+
 std::string token_in(const std::string& property, const std::string& file) {
   if (file.empty()) return "";
   std::ifstream in(file);
   std::string token;
   std::getline(in, token);
-  if (token.size() >= shortest_token) return token;
+  if (token.size() >= shortest_token && is_field(token)) return token;
   throw std::invalid_argument("property \"" + property + "\": the first line of \"" + file +
                               "\" is no token of at least 16 characters, or cannot be read (openssl rand -hex 32)");
 }
@@ -88,6 +96,10 @@ HttpDriver::Options HttpDriver::read_options(const PropertyMap& properties) {
   options.call.most_bytes = options.server.most_bytes = stream::read_most_bytes(reader);
   options.call.method = reader.text("call_method", "POST");
   options.call.content_type = reader.text("call_content_type", "application/json");
+  if (!is_field(options.call.content_type)) {
+    throw std::invalid_argument("property \"call_content_type\" is \"" + options.call.content_type +
+                                "\"; it takes a type such as text/plain");
+  }
   options.call.ca = reader.text("ca", "");
   options.call.limit = std::chrono::milliseconds(reader.integer("call_timeout_ms", 10'000, 10, 600'000));
   options.server.certificate = reader.text("certificate", "");
@@ -204,7 +216,7 @@ std::string HttpDriver::queue(const Message& message) {
     call.method = *method;
   }
   if (const std::string* type = message.properties.find("content_type")) {
-    if (type->find_first_of("\r\n") != std::string::npos) return "its content_type has the end of a line in it";
+    if (!is_field(*type)) return "its content_type has more than 1000 bytes, or the end of a line in it";
     call.content_type = *type;
   }
   if (!call_token_.empty()) call.authorization = "Bearer " + call_token_;

@@ -193,7 +193,7 @@ class Calling : public std::enable_shared_from_this<Calling<Stream>> {
     }
   }
 
-  void write() {
+  void write() try {
     limit();
     request_.version(11);
     request_.method_string(call_.method);
@@ -209,6 +209,8 @@ class Calling : public std::enable_shared_from_this<Calling<Stream>> {
       if (error) return self->fail("it took no request", error);
       self->read();
     });
+  } catch (const std::exception& e) {  // Beast takes no field of 64 KiB
+    fail(std::string("no request can be made: ") + e.what());
   }
 
   void read() {
@@ -235,9 +237,10 @@ class Calling : public std::enable_shared_from_this<Calling<Stream>> {
     });
   }
 
-  void fail(const std::string& step, error_code error) {
+  void fail(const std::string& step, error_code error) { fail(step + ": " + error.message()); }
+  void fail(const std::string& why) {
     CallAnswer answer;
-    answer.problem = call_.host + ":" + call_.port + ": " + step + ": " + error.message();
+    answer.problem = call_.host + ":" + call_.port + ": " + why;
     handler_(std::move(answer));
   }
 
@@ -259,7 +262,18 @@ struct HttpEnd::Impl {
   asio::steady_timer pause{context};
   std::optional<asio::ssl::context> server_tls;
   std::shared_ptr<Server> server;
-  std::thread thread{[this] { context.run(); }};
+  std::thread thread{[this] { run(); }};
+
+  /// A handler that has no memory ends its connection, and no other.
+  void run() {
+    for (bool ended = false; !ended;) {
+      try {
+        context.run();
+        ended = true;
+      } catch (const std::exception&) {
+      }
+    }
+  }
 
   ~Impl() {
     context.stop();

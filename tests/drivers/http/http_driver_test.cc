@@ -268,6 +268,13 @@ TEST(Http, says_which_property_or_message_is_wrong) {
     ASSERT_TRUE(calls.deliver("call", message));
   }
   EXPECT_EQ(calls.host().logged_count("a call is lost"), 1U);
+  MockInstance long_type(http_plugin(), {{"call_url", "http://127.0.0.1:1"}});
+  ASSERT_TRUE(long_type.start()) << long_type.error();
+  Message message = command("x");
+  message.properties.set("content_type", std::string(70'000, 'x'));
+  ASSERT_TRUE(long_type.deliver("call", message));
+  EXPECT_EQ(long_type.host().logged_count("content_type has more than 1000 bytes"), 1U);
+  EXPECT_THAT(error_with({{"call_url", "http://a"}, {"call_content_type", "a\nb"}}), HasSubstr("call_content_type"));
   calls.host().advance(1s);
   EXPECT_TRUE(calls.host().published("answers").empty());
 }
