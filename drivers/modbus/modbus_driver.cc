@@ -234,7 +234,9 @@ void ModbusDriver::on_message(std::string_view channel, Message message) {
 }
 
 std::string ModbusDriver::write(const std::string& json) {
-  const auto values = nlohmann::json::parse(json, nullptr, false);
+  // Nothing in it is deeper than a value: whatever is would be copied and destroyed recursively.
+  const auto is_flat = [](int depth, nlohmann::json::parse_event_t, const nlohmann::json&) { return depth < 2; };
+  const auto values = nlohmann::json::parse(json, is_flat, false);
   if (!values.is_object()) return "it is no JSON object such as {\"setpoint\": 21.5}";
   std::vector<std::pair<const Register*, double>> writes;
   for (const auto& [name, value] : values.items()) {

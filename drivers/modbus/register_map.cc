@@ -84,7 +84,7 @@ Register read_register(const YAML::Node& node) {
     entry.refuse("\"type\" is bool for tables coil and discrete, and only there");
   if (!entry.has("address")) entry.refuse("\"" + reg.name + "\" has no address");
   reg.address = entry.get("address", 0);
-  if (reg.address < 0 || reg.address + reg.words() - 1 > last_address) entry.refuse("\"address\" takes 0 to 65535");
+  if (reg.address < 0 || reg.address > last_address - reg.words() + 1) entry.refuse("\"address\" takes 0 to 65535");
   const int order =
       entry.choice("order", "abcd", std::map<std::string, int>{{"abcd", 0}, {"cdab", 1}, {"badc", 2}, {"dcba", 3}});
   reg.swaps_words = (order & 1) != 0;
@@ -238,6 +238,8 @@ std::vector<std::uint16_t> encode(const Register& reg, double value) {
       raw = raw_of<std::int64_t>(reg, number);
       break;
     case Type::float32:
+      if (std::abs(number) > std::numeric_limits<float>::max())
+        throw std::invalid_argument("the device has no room for it in \"" + reg.name + "\"");
       raw = std::bit_cast<std::uint32_t>(static_cast<float>(number));
       break;
     case Type::float64:

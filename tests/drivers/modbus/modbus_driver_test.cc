@@ -180,6 +180,7 @@ TEST(Modbus, writes_commands_and_refuses_those_that_are_wrong_as_a_whole) {
   const std::string map =
       "[{name: setpoint, address: 5, type: int16, scale: 0.5, writable: true, min: -20, max: 40},"
       " {name: energy, address: 6, type: uint32, writable: true}, {name: fixed, address: 8},"
+      " {name: level, address: 10, type: float32, writable: true},"
       " {name: pump, table: coil, address: 9, writable: true}]";
   MockInstance meter(modbus_plugin(), {{"connect", at(port)}, {"registers", map}});
   ASSERT_TRUE(meter.start()) << meter.error();
@@ -195,9 +196,12 @@ TEST(Modbus, writes_commands_and_refuses_those_that_are_wrong_as_a_whole) {
   };
   EXPECT_TRUE(told(R"({"pump": false, "setpoint": 41})", "41: it is out of the range"));
   EXPECT_TRUE(told(R"({"pump": false, "energy": -1})", "no room for it"));
+  EXPECT_TRUE(told(R"({"level": 1e39})", "no room for it"));
   EXPECT_TRUE(told(R"({"pump": false, "fixed": 1})", "no writable register \"fixed\""));
   EXPECT_TRUE(told(R"({"pump": 0})", "true or false"));
   EXPECT_TRUE(told(R"({"setpoint": "1"})", "takes a number"));
+  EXPECT_TRUE(
+      told("{\"setpoint\": " + std::string(1'000'000, '[') + std::string(1'000'000, ']') + "}", "takes a number"));
   EXPECT_TRUE(told("[1]", "no JSON object"));
   EXPECT_TRUE(told("{", "no JSON object"));
   EXPECT_TRUE(device.bit(9));
@@ -318,6 +322,7 @@ TEST(Modbus, says_what_is_wrong_in_its_map_and_properties) {
               HasSubstr("line 2: there is no key \"typ\""));
   EXPECT_THAT(map_error("[{name: a}]"), HasSubstr("no address"));
   EXPECT_THAT(map_error("[{name: a, address: 65535, type: uint32}]"), HasSubstr("0 to 65535"));
+  EXPECT_THAT(map_error("[{name: a, address: 2147483647, type: uint32}]"), HasSubstr("0 to 65535"));
   EXPECT_THAT(map_error("[{name: a, address: x}]"), HasSubstr("another kind"));
   EXPECT_THAT(map_error("[{name: a, address: 1, type: int8}]"), HasSubstr("one of: bool, float32"));
   EXPECT_THAT(map_error("[{name: a, address: 1, table: coil, type: int16}]"), HasSubstr("bool for tables"));
