@@ -197,7 +197,8 @@ void Client::connection_answered(int code) {
 }
 
 void Client::subscribe(const std::string& filter, int qos) {
-  mosquitto_subscribe(client_, nullptr, filter.c_str(), qos);
+  if (const int status = mosquitto_subscribe(client_, nullptr, filter.c_str(), qos); status != MOSQ_ERR_SUCCESS)
+    context_.log(LogLevel::error, "the broker is not asked for \"" + filter + "\": " + text_of(status));
 }
 
 void Client::subscribed(int filters, const int* granted) {
@@ -251,7 +252,8 @@ void Client::after_call(int status) {
 }
 
 void Client::watch() {
-  const int socket = mosquitto_socket(client_);
+  // The library has a socket also of a session that was given up, until the next one begins.
+  const int socket = misc_ ? mosquitto_socket(client_) : -1;
   if (socket < 0) return;
   if (readable_ && !may_read()) context_.stop(*std::exchange(readable_, std::nullopt));
   if (!readable_ && may_read())

@@ -132,9 +132,16 @@ json with_whole_keys(const json& object) {
   return whole;
 }
 
+/// The same; empty also for a text that is too long to say what a device is.
+std::string short_text_of(const json& value) {
+  constexpr std::size_t longest = 1024;
+  std::string text = text_of(value);
+  return text.size() > longest ? "" : text;
+}
+
 std::string value_of(const json& object, const char* key) {
   const auto found = object.find(key);
-  return found == object.end() ? "" : text_of(*found);
+  return found == object.end() ? "" : short_text_of(*found);
 }
 
 /// A topic with the base topic in the place of a `~` at one of its ends.
@@ -187,13 +194,13 @@ bool is_command_key(std::string_view key) {
 std::string device_id(const json& device) {
   const auto ids = device.find("identifiers");
   if (ids != device.end()) {
-    const std::string id = text_of(ids->is_array() && !ids->empty() ? ids->front() : *ids);
+    const std::string id = short_text_of(ids->is_array() && !ids->empty() ? ids->front() : *ids);
     if (!id.empty()) return id;
   }
   const auto connections = device.find("connections");
   if (connections == device.end() || !connections->is_array() || connections->empty()) return "";
   const auto& first = connections->front();
-  return first.is_array() && first.size() == 2 ? text_of(first[1]) : "";
+  return first.is_array() && first.size() == 2 ? short_text_of(first[1]) : "";
 }
 
 }  // namespace
@@ -290,11 +297,21 @@ std::optional<std::vector<HomeAssistant::Entity>> HomeAssistant::read(const std:
   return entities;
 }
 
+std::size_t HomeAssistant::Entity::bytes() const {
+  constexpr std::size_t overhead = 64;  // of a text in a list or a map, about
+  std::size_t bytes =
+      sizeof(Entity) + device.size() + component.size() + availability.size() + available.size() + not_available.size();
+  for (const auto& [name, value] : attributes) bytes += overhead + name.size() + value.size();
+  for (const Topic& topic : topics) bytes += overhead + topic.topic.size() + topic.name.size();
+  return bytes;
+}
+
 void HomeAssistant::forget(const std::string& topic, std::set<std::string>& changed) {
   const auto known = announced_.find(topic);
   if (known == announced_.end()) return;
   entities_ -= known->second.size();
   for (const Entity& entity : known->second) {
+    bytes_ -= entity.bytes();
     devices_[entity.device].announced.erase(topic);
     changed.insert(entity.device);
   }
@@ -307,7 +324,11 @@ void HomeAssistant::take(const std::string& topic, std::string_view payload) {
   auto entities = payload.empty() ? std::vector<Entity>() : read(topic, payload);
   if (!entities) return findings_.warn("the announcement on " + topic + " is no object of Home Assistant's discovery");
   forget(topic, changed);
-  if (entities_ + entities->size() > most_entities || entities->size() > most_entities_of_device) {
+  std::size_t bytes = 0;
+  for (const Entity& entity : *entities) bytes += entity.bytes();
+  if (entities_ + entities->size() > most_entities || entities->size() > most_entities_of_device ||
+      bytes_ + bytes > most_bytes_) {
+    bytes = 0;
     findings_.warn("the announcement on " + topic + " is one too many");
     entities->clear();
   }
@@ -316,6 +337,7 @@ void HomeAssistant::take(const std::string& topic, std::string_view payload) {
     changed.insert(entity.device);
   }
   entities_ += entities->size();
+  bytes_ += bytes;
   if (!entities->empty()) announced_.emplace(topic, *std::move(entities));
   for (const auto& device : changed) report(device);
 }
@@ -330,6 +352,7 @@ void HomeAssistant::report(const std::string& key) {
   std::map<std::string, std::string> command_topics;  // by name
   std::size_t entities = 0;
   for (const auto& topic : device.announced) {
+    if (entities > most_entities_of_device) break;
     for (const Entity& entity : announced_.at(topic)) {
       if (entity.device != key || ++entities > most_entities_of_device) continue;
       attributes.insert(entity.attributes.begin(), entity.attributes.end());
@@ -379,7 +402,7 @@ void HomeAssistant::report(const std::string& key) {
 void HomeAssistant::clear() {
   announced_.clear();
   devices_.clear();
-  entities_ = 0;
+  entities_ = bytes_ = 0;
 }
 
 }  // namespace iotcloud::drivers::mqtt

@@ -39,7 +39,9 @@ class HomeAssistant {
   static constexpr std::size_t most_entities = 50'000;  ///< of all devices
   static constexpr std::size_t most_entities_of_device = 200;
 
-  HomeAssistant(std::string prefix, Findings findings) : prefix_(std::move(prefix)), findings_(std::move(findings)) {}
+  /// \param most_bytes of what is kept of all devices, about
+  HomeAssistant(std::string prefix, Findings findings, std::size_t most_bytes = std::size_t{64} << 20)
+      : prefix_(std::move(prefix)), findings_(std::move(findings)), most_bytes_(most_bytes) {}
   /// The filter of its topics.
   std::string filter() const { return prefix_ + "/#"; }
   /// Whether this is a topic of an announcement.
@@ -59,6 +61,7 @@ class HomeAssistant {
     PropertyMap attributes;  ///< of its device, as it says
     std::vector<Topic> topics;
     std::string availability, available, not_available;
+    std::size_t bytes() const;
   };
   struct Device {
     std::set<std::string> announced;  ///< topics of its announcements
@@ -66,11 +69,13 @@ class HomeAssistant {
   std::optional<std::vector<Entity>> read(const std::string& topic, std::string_view payload) const;
   void report(const std::string& device);
   void forget(const std::string& topic, std::set<std::string>& changed);
+
   std::string prefix_;
   const Findings findings_;
+  const std::size_t most_bytes_;
   std::map<std::string, std::vector<Entity>> announced_;  ///< by topic
   std::map<std::string, Device> devices_;                 ///< by key
-  std::size_t entities_ = 0;
+  std::size_t entities_ = 0, bytes_ = 0;
 };
 
 }  // namespace iotcloud::drivers::mqtt

@@ -1,4 +1,3 @@
-#include <sstream>
 #include <stdexcept>
 #include <utility>
 
@@ -28,10 +27,7 @@ MqttFinder::Options MqttFinder::read_options(const PropertyMap& properties) {
   options.announcements = reader.text("announcements", "");
   const std::string find = reader.text("find", "");
   bool plain = false;
-  std::istringstream words(find);
-  for (std::string word; std::getline(words, word, ',');) {
-    word.erase(0, word.find_first_not_of(' '));
-    word.erase(word.find_last_not_of(' ') + 1);
+  for (const std::string& word : words_of(find)) {
     if (word == "homeassistant") {
       options.homeassistant = true;
     } else if (word == "sparkplug") {
@@ -43,6 +39,8 @@ MqttFinder::Options MqttFinder::read_options(const PropertyMap& properties) {
                                   "\"; it takes homeassistant, sparkplug and announcements");
     }
   }
+  if (!options.homeassistant && !options.sparkplug && !plain)
+    throw std::invalid_argument("property \"find\" names nothing; it takes homeassistant, sparkplug and announcements");
   if (plain != !options.announcements.empty())
     throw std::invalid_argument(
         "the property \"announcements\" names the topics of announcements, which \"find\" asks for: give both or none");
@@ -83,6 +81,7 @@ void MqttFinder::open(DriverContext& context) {
 void MqttFinder::connected() {
   homeassistant_->clear();
   nodes_.clear();
+  known_ = 0;
   devices_.clear();
   asked_.clear();
   context_->report_sight(true);
@@ -114,8 +113,17 @@ void MqttFinder::sparkplug_received(const sparkplug::Topic& topic, std::string_v
   const NodeName name{topic.group, topic.node};
   if (!nodes_.contains(name) && nodes_.size() >= most_nodes)
     return passed_over_->warn("there are more than " + std::to_string(most_nodes) + " nodes of Sparkplug B");
-  const auto heard = nodes_[name].take(topic, *payload);
+  sparkplug::Node& node = nodes_[name];
+  known_ -= node.bytes();
+  const auto heard = node.take(topic, *payload);
+  known_ += node.bytes();
   if (heard == sparkplug::Node::Heard::stale) return;
+  if (heard == sparkplug::Node::Heard::too_much)
+    return passed_over_->warn("\"" + topic.text() + "\" is a birth certificate of too many metrics");
+  if (known_ > most_known) {
+    passed_over_->warn("the nodes of Sparkplug B name too many metrics; \"" + topic.node + "\" is passed over");
+    return forget_node(name);
+  }
   if (heard == sparkplug::Node::Heard::gap) ask_for_births(name);
   switch (topic.kind) {
     case Kind::node_birth:
@@ -132,14 +140,21 @@ void MqttFinder::sparkplug_received(const sparkplug::Topic& topic, std::string_v
       gone_sparkplug(topic);
       break;
     case Kind::node_death:
-      for (const auto& device : devices_[name]) gone_sparkplug({topic.group, topic.node, device, Kind::device_death});
-      devices_.erase(name);
-      nodes_.erase(name);
-      gone_sparkplug(topic);
+      forget_node(name);
       break;
     default:
       break;
   }
+}
+
+/// The node and its devices are gone.
+void MqttFinder::forget_node(const NodeName& node) {
+  using sparkplug::Kind;
+  for (const auto& device : devices_[node]) gone_sparkplug({node.first, node.second, device, Kind::device_death});
+  devices_.erase(node);
+  known_ -= nodes_[node].bytes();
+  nodes_.erase(node);
+  gone_sparkplug({node.first, node.second, "", Kind::node_death});
 }
 
 void MqttFinder::found_sparkplug(const sparkplug::Topic& topic, const sparkplug::Payload& payload) {

@@ -48,8 +48,10 @@ class MqttFinder : public Driver {
   void found_sparkplug(const sparkplug::Topic& topic, const sparkplug::Payload& payload);
   void gone_sparkplug(const sparkplug::Topic& topic);
   void ask_for_births(const NodeName& node);
+  void forget_node(const NodeName& node);
 
   static constexpr std::size_t most_nodes = 10'000;
+  static constexpr std::size_t most_known = std::size_t{256} << 20;  ///< bytes of all nodes together, about
 
   DriverContext* context_ = nullptr;
   Options options_;
@@ -57,6 +59,7 @@ class MqttFinder : public Driver {
   std::optional<PlainAnnouncements> plain_;
   std::optional<HomeAssistant> homeassistant_;
   std::map<NodeName, sparkplug::Node> nodes_;
+  std::size_t known_ = 0;                              ///< bytes of all nodes together
   std::map<NodeName, std::set<std::string>> devices_;  ///< of the nodes that are there
   std::set<NodeName> asked_;                           ///< for birth certificates, a moment ago
   std::optional<Client> client_;                       ///< last, because its events use the other members

@@ -289,16 +289,15 @@ Node::Heard Node::take(const Topic& topic, Payload& payload) {
       if (alive_ && session_ && session && *session != *session_) return Heard::stale;
       alive_ = false;
       expected_.reset();
-      metrics_.clear();
+      forget_all();
       return Heard::in_order;
     }
     case Kind::node_birth:
-      alive_ = true;
       session_ = session_of(payload);
-      metrics_.clear();
+      forget_all();
       expected_ = payload.seq ? std::optional((*payload.seq + 1) % numbers) : std::nullopt;
-      learn("", payload);
-      return Heard::in_order;
+      alive_ = learn("", payload);
+      return alive_ ? Heard::in_order : Heard::too_much;
     case Kind::node_command:
     case Kind::device_command:
       return Heard::stale;
@@ -308,23 +307,43 @@ Node::Heard Node::take(const Topic& topic, Payload& payload) {
   const bool follows = alive_ && expected_ && payload.seq && *payload.seq == *expected_;
   if (payload.seq && alive_) expected_ = (*payload.seq + 1) % numbers;
   if (topic.kind == Kind::device_birth) {
-    learn(topic.device, payload);
+    if (!learn(topic.device, payload)) return Heard::too_much;
   } else if (topic.kind == Kind::device_death) {
-    metrics_.erase(topic.device);
+    forget(topic.device);
   } else if (!complete(topic.device, payload)) {
     return Heard::gap;
   }
   return follows ? Heard::in_order : Heard::gap;
 }
 
-void Node::learn(const std::string& device, const Payload& payload) {
+void Node::forget(const std::string& device) {
+  const auto known = metrics_.find(device);
+  if (known == metrics_.end()) return;
+  bytes_ -= known->second.bytes;
+  metrics_.erase(known);
+}
+
+void Node::forget_all() {
+  metrics_.clear();
+  bytes_ = 0;
+}
+
+/// \return false: that would be too much, and the device is not known any more
+bool Node::learn(const std::string& device, const Payload& payload) {
+  constexpr std::size_t overhead = 128;  // of an entry, about
+  forget(device);
   Known known;
+  known.bytes = overhead + device.size();
   for (const Metric& metric : payload.metrics) {
     if (metric.name.empty()) continue;
     known.types[metric.name] = metric.type.value_or(Type::unknown);
     if (metric.alias) known.names[*metric.alias] = metric.name;
+    known.bytes += 2 * (overhead + metric.name.size());
   }
-  metrics_.insert_or_assign(device, std::move(known));
+  if (bytes_ + known.bytes > most_bytes) return false;
+  bytes_ += known.bytes;
+  metrics_.emplace(device, std::move(known));
+  return true;
 }
 
 /// \return false: a metric is not known by its birth certificate

@@ -100,7 +100,12 @@ class Node {
     in_order,  ///< what it says is valid
     gap,       ///< a message is missing, or there was no birth certificate yet: ask for them
     stale,     ///< a death of an earlier session: nothing follows of it
+    too_much,  ///< a birth certificate that would make bytes() more than most_bytes: it is passed over
   };
+  static constexpr std::size_t most_bytes = std::size_t{16} << 20;
+  /// The memory, about, that the birth certificates take which it keeps.
+  std::size_t bytes() const { return bytes_; }
+
   /// Takes a message of the node, or of one of its devices, and completes its metrics: their names and types by their
   /// aliases.
   Heard take(const Topic& topic, Payload& payload);
@@ -115,14 +120,18 @@ class Node {
   struct Known {
     std::map<std::string, Type, std::less<>> types;
     std::map<std::uint64_t, std::string> names;  ///< by alias
+    std::size_t bytes = 0;
   };
   bool complete(const std::string& device, Payload& payload) const;
-  void learn(const std::string& device, const Payload& payload);
+  bool learn(const std::string& device, const Payload& payload);
+  void forget(const std::string& device);
+  void forget_all();
 
   bool alive_ = false;
   std::optional<std::uint64_t> session_;   ///< bdSeq of the birth certificate
   std::optional<std::uint64_t> expected_;  ///< the number of the next message; nullopt: not known
   std::map<std::string, Known> metrics_;   ///< by device; of those that are alive
+  std::size_t bytes_ = 0;
 };
 
 }  // namespace iotcloud::drivers::mqtt::sparkplug

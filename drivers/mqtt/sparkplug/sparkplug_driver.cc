@@ -153,6 +153,8 @@ void SparkplugDriver::received(std::string_view topic_text, std::string_view byt
   if (!payload) return refused_->warn(std::string(topic_text) + " is no payload of Sparkplug B");
   const auto heard = known_.take(*topic, *payload);
   if (heard == Node::Heard::stale) return;
+  if (heard == Node::Heard::too_much)
+    return refused_->warn(std::string(topic_text) + " is a birth certificate of too many metrics");
   // An instance of one device does not hear the others, whose numbers are missing.
   const bool numbered = options_.device.empty();
   bool unnamed = false;

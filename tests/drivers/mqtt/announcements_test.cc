@@ -145,5 +145,24 @@ TEST_F(AnnouncementsTest, that_are_hostile_are_passed_over) {
   EXPECT_THAT(found_, Not(Contains(Key("homeassistant m"))));
 }
 
+TEST_F(AnnouncementsTest, of_strangers_are_kept_up_to_a_bound) {
+  HomeAssistant house("homeassistant", findings(), 1'000'000);
+  std::string topics;
+  for (int i = 0; i < 100; ++i) topics += ",\"a" + std::to_string(i) + "_topic\":\"" + std::string(1000, 'x') + "\"";
+  const auto take = [&](int number) {
+    const std::string id = std::to_string(number);
+    house.take("homeassistant/sensor/" + id + "/config", R"({"device":{"identifiers":")" + id + "\"}" + topics + "}");
+  };
+  for (int i = 0; i < 10; ++i) take(i);
+  EXPECT_THAT(warnings_, Contains(HasSubstr("one too many")));
+  EXPECT_THAT(found_, Not(Contains(Key("homeassistant 9"))));
+  for (int i = 0; i < 5; ++i) house.take("homeassistant/sensor/" + std::to_string(i) + "/config", "");
+  take(9);
+  EXPECT_THAT(found_, Contains(Key("homeassistant 9"))) << "there is room";
+  house.take("homeassistant/sensor/n/config",
+             R"({"device":{"identifiers":"n","name":")" + std::string(5000, 'x') + "\"}}");
+  EXPECT_THAT(found_.at("homeassistant n"), Not(Contains(Key("name"))));
+}
+
 }  // namespace
 }  // namespace iotcloud::drivers::mqtt

@@ -117,6 +117,27 @@ TEST(SparkplugNodes, die_of_their_own_session_only) {
   EXPECT_FALSE(node.is_alive(""));
 }
 
+TEST(SparkplugNodes, keep_no_more_than_a_bound_of_what_strangers_name) {
+  Node node;
+  auto first = birth(1);
+  node.take(topic(Kind::node_birth), first);
+  const std::size_t of_node = node.bytes();
+  Payload large = birth(1, 1);
+  large.metrics.push_back(metric(std::string(6 << 20, 'x'), Type::int8, std::int64_t{1}));
+  EXPECT_EQ(node.take(topic(Kind::device_birth, "a"), large), Node::Heard::in_order);
+  large.seq = 2;
+  EXPECT_EQ(node.take(topic(Kind::device_birth, "b"), large), Node::Heard::too_much);
+  EXPECT_FALSE(node.is_alive("b"));
+  Payload death = birth(1, 3);
+  EXPECT_EQ(node.take(topic(Kind::device_death, "a"), death), Node::Heard::in_order);
+  EXPECT_EQ(node.bytes(), of_node);
+  large.seq = 4;
+  EXPECT_EQ(node.take(topic(Kind::device_birth, "b"), large), Node::Heard::in_order) << "there is room";
+  Payload ended = birth(1);
+  node.take(topic(Kind::node_death), ended);
+  EXPECT_EQ(node.bytes(), 0U);
+}
+
 TEST(SparkplugValues, are_read_strictly) {
   EXPECT_EQ(value_of(Type::int8, "-128"), Value(std::int64_t{-128}));
   EXPECT_EQ(value_of(Type::uint64, "18446744073709551615"), Value(std::uint64_t{18446744073709551615U}));
