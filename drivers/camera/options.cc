@@ -71,6 +71,9 @@ Options read_options(const PropertyMap& properties) {
   read_source(options);
   options.h264 = reader.choice("format", "jpeg", {"jpeg", "h264"}) == "h264";
   options.rate = reader.number("rate", 0, 0, 1000);
+  constexpr double slowest = 0.001;
+  if (options.rate > 0 && options.rate < slowest)
+    throw std::invalid_argument("property \"rate\" is less than 0.001; it takes 0 (all), or 0.001 to 1000");
   options.width = static_cast<int>(reader.integer("width", 0, 0, most_pixels));
   options.height = static_cast<int>(reader.integer("height", 0, 0, most_pixels));
   options.quality = static_cast<int>(reader.integer("quality", 80, 1, 100));

@@ -50,6 +50,8 @@ class MessageType {
   std::string from_json(std::string_view json, std::size_t most_bytes) const;
 
  private:
+  static constexpr std::size_t deepest = 32;           ///< types within each other
+  static constexpr int base64_in = 3, base64_out = 4;  ///< bytes, and the characters that they become
   enum class Basic {
     boolean,
     int8,

@@ -17,20 +17,10 @@ std::string without_blanks(const std::string& text) {
   return text.substr(first, text.find_last_not_of(" \t\n") - first + 1);
 }
 
-std::vector<std::string> split(const std::string& text, char separator) {
-  std::vector<std::string> words;
-  for (std::size_t at = 0; at <= text.size();) {
-    const std::size_t end = std::min(text.find(separator, at), text.size());
-    if (std::string word = without_blanks(text.substr(at, end - at)); !word.empty()) words.push_back(std::move(word));
-    at = end + 1;
-  }
-  return words;
-}
-
 std::vector<std::string> message_folders(const std::string& given) {
-  if (!given.empty()) return split(given, ':');
+  if (!given.empty()) return words_of(given, ':');
   const char* packages = std::getenv("ROS_PACKAGE_PATH");
-  std::vector<std::string> folders = split(packages ? packages : "", ':');
+  std::vector<std::string> folders = words_of(packages ? packages : "", ':');
   folders.insert(folders.end(), {"/opt/ros/noetic/share", "/usr/share"});
   return folders;
 }
@@ -39,7 +29,7 @@ std::vector<std::string> message_folders(const std::string& given) {
 
 std::vector<TopicEntry> read_topics(const std::string& property, const std::string& text, const std::string& fallback) {
   std::vector<TopicEntry> all;
-  for (const std::string& word : split(text, ',')) {
+  for (const std::string& word : words_of(text)) {
     const auto equals = word.find('=');
     TopicEntry entry{without_blanks(word.substr(0, equals)), fallback};
     if (equals != std::string::npos) entry.value = without_blanks(word.substr(equals + 1));
@@ -257,10 +247,10 @@ std::string RosDriver::send(const Message& message) {
   const MessageType& type = options_.types[index];
   std::string bytes;
   if (options_.raw) {
+    if (message.payload.size() > options_.most_bytes) return "it is longer than most_bytes";
     constexpr std::size_t any = std::size_t{1} << 30;
     type.to_json(message.payload.bytes(), any);  // refuses what is no such message
     bytes = message.payload.text();
-    if (bytes.size() > options_.most_bytes) return "it is longer than most_bytes";
   } else {
     bytes = type.from_json(message.payload.text(), options_.most_bytes);
   }

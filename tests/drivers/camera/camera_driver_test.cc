@@ -408,7 +408,8 @@ TEST(Camera, refuses_properties_that_make_no_sense) {
   EXPECT_THAT(refusal({{"source", "file:video.mp4"}}), HasSubstr("path from the root"));
   EXPECT_THAT(refusal({{"source", "test:cat"}}), AllOf(HasSubstr("test:cat"), HasSubstr("ball, smpte")));
   EXPECT_THAT(refusal({{"source", "test"}, {"format", "png"}}), AllOf(HasSubstr("format"), HasSubstr("jpeg, h264")));
-  EXPECT_THAT(refusal({{"source", "test"}, {"rate", "-1"}}), HasSubstr("rate"));
+  for (const char* rate : {"-1", "0.0001", "1e-300"})
+    EXPECT_THAT(refusal({{"source", "test"}, {"rate", rate}}), HasSubstr("rate"));
   EXPECT_THAT(refusal({{"source", "test"}, {"width", "1"}}), AllOf(HasSubstr("width"), HasSubstr("2 pixels")));
   EXPECT_THAT(refusal({{"source", "test"}, {"quality", "101"}}), HasSubstr("quality"));
   EXPECT_THAT(refusal({{"source", "test"}, {"loop", "true"}}), AllOf(HasSubstr("loop"), HasSubstr("a file")));
