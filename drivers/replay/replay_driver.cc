@@ -8,8 +8,9 @@ namespace iotcloud::drivers::replay {
 
 namespace {
 
-/// How many messages are sent before other instances of the host have their turn.
-constexpr int most_at_once = 100;
+/// How many messages are sent before other instances of the host have their turn; and how many of other instances are
+/// passed over.
+constexpr int most_at_once = 100, most_read_at_once = 10'000;
 
 std::string words(const recording::RecordedChannel& channel) {
   if (channel.instance.empty()) return "(of no instance)";
@@ -99,8 +100,9 @@ void ReplayDriver::close() {
   recording_.reset();
 }
 
-bool ReplayDriver::fetch() {
-  for (bool again = false; !next_;) {
+ReplayDriver::Fetched ReplayDriver::fetch() {
+  for (int read = 0; !next_; ++read) {
+    if (read == most_read_at_once) return Fetched::later;
     next_ = recording_->next();
     if (next_) {
       const auto& channel = recording_->channels()[next_->channel];
@@ -108,13 +110,12 @@ bool ReplayDriver::fetch() {
       continue;
     }
     // The end. A recording without a message of this instance has no second round.
-    if (!loop_ || again || of_round_ == 0) return false;
-    again = true;
+    if (!loop_ || of_round_ == 0) return Fetched::none;
     of_round_ = 0;
     recording_->rewind();
     pace_.reset();
   }
-  return true;
+  return Fetched::message;
 }
 
 void ReplayDriver::end() {
@@ -125,8 +126,10 @@ void ReplayDriver::end() {
 void ReplayDriver::send_due() {
   timer_.reset();
   for (int count = 0; active_ && !blocked_ && !ended_; ++count) {
-    if (!fetch()) {
-      end();
+    const Fetched fetched = fetch();
+    if (fetched == Fetched::none) return end();
+    if (fetched == Fetched::later) {
+      timer_ = context_->after(std::chrono::microseconds{0}, [this] { send_due(); });
       return;
     }
     const auto now = clock_();

@@ -55,8 +55,10 @@ class ReplayDriver : public Driver {
  private:
   void find_instance(const std::string& word);
   bool plays(std::size_t channel) const;
-  /// Reads on until a message of this instance is next. \return false: there is none, and the play has ended.
-  bool fetch();
+  enum class Fetched { message, later, none };
+  /// Reads on until a message of this instance is next. \return later: others of the host have their turn first; none:
+  /// there is no more, and the play has ended
+  Fetched fetch();
   void send_due();
   void end();
 

@@ -75,6 +75,24 @@ class ReplayDriverTest : public ::testing::Test {
   std::optional<MockInstance> instance_;
 };
 
+TEST_F(ReplayDriverTest, LetsOthersOfItsHostHaveTheirTurnWhileItPassesOverMessages) {
+  const std::string file = folder_ / "long.mcap";
+  {
+    recording::RecordingWriter writer(file, {});
+    for (const char* instance : {"meter-one", "meter-two"}) writer.add_channel({"meter", instance, "", "", "reading"});
+    Message message;
+    message.driver_id = "meter-one";
+    for (int i = 0; i < 15'000; ++i) writer.add(0, message, 1s);
+    message.driver_id = "meter-two";
+    writer.add(1, message, 2s);
+    writer.close();
+  }
+  start({{"file", file}, {"instance", "meter-two"}});
+  EXPECT_TRUE(sent().empty()) << "the others were not read at once";
+  host->advance(0ms);
+  EXPECT_EQ(sent().size(), 1u);
+}
+
 TEST_F(ReplayDriverTest, SendsWhatOneInstanceSentAtItsOwnPace) {
   start({{"instance", "meter/1"}});
   EXPECT_EQ(sent().size(), 1u);
