@@ -579,9 +579,15 @@ void DriverInstance::update_metadata(const drivers::PropertyMap& changes) noexce
 }
 
 void DriverInstance::report_found(std::string_view key, const drivers::PropertyMap& attributes) noexcept {
+  constexpr std::uint64_t logged = 100;  // one in so many: strangers decide how many there are
   std::string problem;
-  change_found([&](FoundThings& things) { problem = things.found({std::string(key), attributes}); });
-  if (!problem.empty()) host_logger.warn("{}: what it found is passed over: {}", id_, problem);
+  std::uint64_t refused = 0;
+  change_found([&](FoundThings& things) {
+    problem = things.found({std::string(key), attributes});
+    refused = things.refused();
+  });
+  if (problem.empty() || (refused != 1 && refused % logged != 0)) return;
+  host_logger.warn("{}: what it found is passed over: {} ({} so far; not all are logged)", id_, problem, refused);
 }
 
 void DriverInstance::report_gone(std::string_view key) noexcept {

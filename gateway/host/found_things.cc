@@ -30,11 +30,15 @@ std::string problem_of(const FoundThing& thing) {
 }
 
 std::string FoundThings::found(FoundThing thing) {
-  if (std::string problem = problem_of(thing); !problem.empty()) return problem;
   const auto known = things_.find(thing.key);
+  std::string problem = problem_of(thing);
+  if (problem.empty() && known == things_.end() && things_.size() >= most_found)
+    problem = fmt::format("{} things were found already, which are the most", things_.size());
+  if (!problem.empty()) {
+    ++refused_;
+    return problem;
+  }
   if (known != things_.end() && known->second == thing) return "";
-  if (known == things_.end() && things_.size() >= most_found)
-    return fmt::format("{} things were found already, which are the most", things_.size());
   gone_.erase(thing.key);
   fresh_.insert(thing.key);
   changed_ = true;

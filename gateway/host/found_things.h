@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <map>
 #include <optional>
 #include <set>
@@ -53,6 +54,7 @@ class FoundThings {
   void sight(bool sees);
   /// Whether a report is due.
   bool changed() const { return changed_; }
+  std::uint64_t refused() const { return refused_; }  ///< so many calls of found() were not taken
   /// The reports of what changed since the last call, each of a moderate size. \param whole all that there is, for
   /// somebody who knows nothing; none if this instance never told anything
   std::vector<FoundReport> take(const discovery::InstanceId& finder, bool whole);
@@ -64,6 +66,7 @@ class FoundThings {
   bool anew_ = false;                                ///< the next report is whole
   bool sees_ = false;
   bool changed_ = false;
+  std::uint64_t refused_ = 0;
 };
 
 }  // namespace iotcloud::gateway

@@ -1,17 +1,15 @@
 #include <algorithm>
-#include <filesystem>
 #include <utility>
+#include <vector>
 
 #include <fmt/format.h>
 
-#include <iotcloud/config/durable_write.h>
 #include <iotcloud/config/error.h>
-#include <iotcloud/discovery/description/json.h>
 #include <iotcloud/discovery/instance_name.h>
 #include <iotcloud/gateway/host/plugin.h>
 #include <iotcloud/gateway/logger.h>
+#include <iotcloud/gateway/provisioning/kept_things.h>
 #include <iotcloud/gateway/provisioning/provisioner.h>
-#include <iotcloud/processes/durable_file.h>
 
 namespace iotcloud::gateway {
 
@@ -31,18 +29,6 @@ constexpr milliseconds return_pause{2000};
 /// Time until something that waits for a token is tried again.
 constexpr milliseconds token_pause{50};
 constexpr double log_lines_a_second = 5;
-constexpr unsigned of_the_gateway_only = 0600;
-/// The file of a gateway that keeps 10 000 things of the greatest size is smaller.
-constexpr std::size_t longest_file = std::size_t{512} << 20;
-
-/// Something for which an instance was made, in the gateway's file.
-struct KeptThing {
-  std::string finder;
-  FoundThing thing;
-  static constexpr const char* what = "something for which a rule made an instance";
-  static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(finder, required), IOTCLOUD_FIELD(thing, required)};
-};
-
 void sooner(std::optional<milliseconds>& next, milliseconds pause) {
   pause = std::max(pause, milliseconds{1});
   next = next ? std::min(*next, pause) : pause;
@@ -50,16 +36,6 @@ void sooner(std::optional<milliseconds>& next, milliseconds pause) {
 
 milliseconds until(config::Clock::Instant due, config::Clock::Instant now) {
   return std::chrono::ceil<milliseconds>(due - now);
-}
-
-/// Takes a token of a bucket that gets `rate` of them in a second, and has room for a second's.
-bool take_from(double& tokens, std::optional<config::Clock::Instant>& filled, config::Clock::Instant now, double rate) {
-  const double most = std::max(1.0, rate);
-  tokens = filled ? std::min(most, tokens + std::chrono::duration<double>(now - *filled).count() * rate) : most;
-  filled = now;
-  if (tokens < 1) return false;
-  tokens -= 1;
-  return true;
 }
 
 OrderRecord named_order(const discovery::GatewayId& gateway, const std::string& name) {
@@ -85,7 +61,7 @@ Provisioner::~Provisioner() {
   if (!unsaved_) return;
   try {
     save();
-  } catch (const config::Error& e) {
+  } catch (const std::exception& e) {
     logger.error("what was found last is not kept: {}", e.what());
   }
 }
@@ -129,20 +105,17 @@ void Provisioner::set_rules(ProvisioningRules rules) {
   const auto before = std::exchange(options_.rules, std::move(rules));
   const auto finders_before = finder_names_;
   make_finders();
+  std::vector<Address> orphans;
+  for (const auto& [address, thing] : things_) {
+    if (!finders_.contains(address.first)) orphans.push_back(address);
+  }
+  for (const auto& address : orphans) forget(address);
   if (!begun_) return;
   for (const auto& [instance, name] : finders_before) {
     if (!finder_names_.contains(instance) && !ordered_.contains(instance)) options_.end(instance);
   }
   for (const auto& [name, finder] : finders_) carry_out(finder.order);
-  std::vector<Address> orphans;
-  for (auto& [address, thing] : things_) {
-    if (finders_.contains(address.first)) {
-      consider(address, thing);
-    } else {
-      orphans.push_back(address);
-    }
-  }
-  for (const auto& address : orphans) forget(address);
+  for (auto& [address, thing] : things_) consider(address, thing);
   untold_ = true;
 }
 
@@ -171,7 +144,7 @@ void Provisioner::heard(const FoundReport& report) {
 void Provisioner::take(const std::string& finder_name, const FoundThing& found) {
   Finder& finder = finders_.at(finder_name);
   if (const std::string problem = problem_of(found); !problem.empty()) {
-    logger.warn("finder {}: something that it found is passed over: {}", finder_name, problem);
+    if (may_log()) logger.warn("finder {}: something that it found is passed over: {}", finder_name, problem);
     return;
   }
   const Address address{finder_name, found.key};
@@ -261,8 +234,7 @@ std::string Provisioner::obstacle(const Address& address, const Thing& thing) co
 }
 
 bool Provisioner::take_token(const DeployRule& rule) {
-  Bucket& bucket = buckets_[rule.name];
-  return take_from(bucket.tokens, bucket.filled, options_.clock->now(), rule.rate);
+  return buckets_[rule.name].tokens.take(options_.clock->now(), rule.rate);
 }
 
 void Provisioner::make_waiting(std::optional<milliseconds>& next) {
@@ -364,7 +336,12 @@ void Provisioner::forget(const Address& address) {
   things_.erase(found);
 }
 
-/// Notes why a thing gets no instance. The log has a few lines a second of that, whatever strangers announce.
+/// Whether what strangers announce may make another line of the log, which has a few of these a second.
+bool Provisioner::may_log() {
+  return log_tokens_.take(options_.clock->now(), log_lines_a_second);
+}
+
+/// Notes why a thing gets no instance.
 void Provisioner::refuse(Thing& thing, const std::string& key, const std::string& rule, const char* kind,
                          const std::string& problem) {
   if (thing.problem == problem) return;
@@ -374,7 +351,7 @@ void Provisioner::refuse(Thing& thing, const std::string& key, const std::string
       ->counter("iotcloud_provisioning_refused_total", "Found things of which a rule makes no instance",
                 {{"rule", rule}, {"reason", kind}})
       .add();
-  if (!take_from(log_tokens_, log_filled_, options_.clock->now(), log_lines_a_second)) return;
+  if (!may_log()) return;
   logger.warn("rule {}: no instance for \"{}\": {}", rule, key, problem);
 }
 
@@ -505,44 +482,28 @@ void Provisioner::keep(Instant now, std::optional<milliseconds>& next) {
 
 void Provisioner::save() {
   if (options_.file.empty()) return;
-  std::string text;
+  std::vector<KeptThing> things;
   for (const auto& [address, thing] : things_) {
-    if (!thing.made) continue;
-    const KeptThing line{address.first, {address.second, thing.attributes}};
-    text += discovery::to_text(discovery::to_json<nlohmann::json>(line)) + '\n';
+    if (thing.made) things.push_back({address.first, {address.second, thing.attributes}});
   }
-  config::replace_file(options_.file, text, of_the_gateway_only);
+  const std::size_t bytes = write_kept_things(options_.file, things);
   // A file of many megabytes is written seldom.
-  save_pause_ = milliseconds{1000} + milliseconds(static_cast<std::int64_t>(text.size() >> 10));
+  save_pause_ = milliseconds{1000} + milliseconds(static_cast<std::int64_t>(bytes >> 10));
 }
 
-/// Takes up what an earlier run of the gateway had made instances of. A damaged line is passed over: what is still
-/// there is found again.
+/// Takes up what an earlier run of the gateway had made instances of.
 void Provisioner::load() {
-  if (options_.file.empty() || !std::filesystem::exists(options_.file)) return;
-  std::string text;
-  try {
-    text = processes::read_file(options_.file, longest_file);
-  } catch (const config::Error& e) {
-    logger.error("what an earlier run found is not known, and is found again: {}", e.what());
-    return;
-  }
-  for (std::size_t at = 0, end = 0; (end = text.find('\n', at)) != std::string::npos; at = end + 1) {
-    try {
-      const auto line = discovery::from_text<KeptThing>(text.substr(at, end - at), options_.file);
-      const auto finder = finders_.find(line.finder);
-      if (finder == finders_.end() || !problem_of(line.thing).empty() || finder->second.keys.size() >= most_found)
-        continue;
-      const Address address{line.finder, line.thing.key};
-      if (things_.contains(address)) continue;  // this run has found it already
-      finder->second.keys.insert(line.thing.key);
-      Thing& thing = things_[address];
-      thing.attributes = line.thing.attributes;
-      thing.kept = true;
-      if (finder->second.sees) thing.missing = options_.clock->now();
-    } catch (const config::Error& e) {
-      logger.warn("a line of what an earlier run found is passed over: {}", e.what());
-    }
+  if (options_.file.empty()) return;
+  for (auto& kept : read_kept_things(options_.file)) {
+    const auto finder = finders_.find(kept.finder);
+    if (finder == finders_.end() || finder->second.keys.size() >= most_found) continue;
+    const Address address{kept.finder, kept.thing.key};
+    if (things_.contains(address)) continue;  // this run has found it already
+    finder->second.keys.insert(kept.thing.key);
+    Thing& thing = things_[address];
+    thing.attributes = std::move(kept.thing.attributes);
+    thing.kept = true;
+    if (finder->second.sees) thing.missing = options_.clock->now();
   }
 }
 

@@ -16,6 +16,7 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/gateway/host/found_things.h>
 #include <iotcloud/gateway/provisioning/rules.h>
+#include <iotcloud/gateway/provisioning/token_bucket.h>
 
 namespace iotcloud::gateway {
 
@@ -86,8 +87,7 @@ class Provisioner {
     std::set<std::string> keys;
   };
   struct Bucket {
-    double tokens = 0;
-    std::optional<Instant> filled;
+    TokenBucket tokens;
     std::size_t made = 0;  ///< instances
   };
 
@@ -102,6 +102,7 @@ class Provisioner {
   void forget(const Address& address);
   void carry_out(const discovery::OrderRecord& order, bool again = false);
   void carry_out_now(const discovery::InstanceId& instance, bool again);
+  bool may_log();
   void refuse(Thing& thing, const std::string& address, const std::string& rule, const char* kind,
               const std::string& problem);
   void take(const std::string& finder, const FoundThing& found);
@@ -132,8 +133,7 @@ class Provisioner {
   std::set<discovery::InstanceId> ordered_;
   /// Instances whose orders are gone, and when rules make them again: whoever removed the order sees the instance gone.
   std::map<discovery::InstanceId, Instant> returning_;
-  double log_tokens_ = 0;
-  std::optional<Instant> log_filled_;
+  TokenBucket log_tokens_;
 };
 
 }  // namespace iotcloud::gateway

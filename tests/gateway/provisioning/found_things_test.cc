@@ -17,6 +17,15 @@ FoundThing thing(const std::string& key, const std::string& value = "x") {
   return {key, {{"a", value}}};
 }
 
+TEST(FoundThings, count_what_is_not_taken) {
+  FoundThings things;
+  EXPECT_EQ(things.found(thing("1")), "");
+  EXPECT_EQ(things.refused(), 0U);
+  EXPECT_NE(things.found(thing("")), "");
+  EXPECT_NE(things.found(thing("2", std::string(20'000, 'x'))), "");
+  EXPECT_EQ(things.refused(), 2U);
+}
+
 TEST(FoundThings, are_reported_whole_first_and_then_as_they_change) {
   FoundThings things;
   things.sight(true);

@@ -44,6 +44,12 @@ class ProvisionerTest : public ::testing::Test {
   ProvisionerTest() { restart(); }
 
   void restart(const std::string& rules = meters, const std::set<InstanceId>& adopted = {}) {
+    make(rules, adopted);
+    provisioner_->begin(adopted);
+    provisioner_->work();
+  }
+  /// One that does not know the registry's orders yet.
+  void make(const std::string& rules, const std::set<InstanceId>& adopted = {}) {
     provisioner_.reset();
     running_.clear();
     Provisioner::Options options;
@@ -65,8 +71,6 @@ class ProvisionerTest : public ::testing::Test {
     for (const auto& instance : adopted) running_[instance].name = "adopted";
     provisioner_ = std::make_unique<Provisioner>(std::move(options));
     provisioner_->set_draining(false);
-    provisioner_->begin(adopted);
-    provisioner_->work();
   }
 
   static InstanceId id(const std::string& name) { return discovery::named_instance_id("gw"_gateway, name, 1); }
@@ -320,6 +324,16 @@ TEST_F(ProvisionerTest, follows_other_rules) {
   provisioner_->set_rules({});
   provisioner_->work();
   EXPECT_TRUE(running_.empty());
+}
+
+TEST_F(ProvisionerTest, forgets_what_a_finder_of_an_earlier_run_found_that_has_no_rule_any_more) {
+  make(meters);
+  tell({meter("1")});
+  tell({}, {"1"});
+  provisioner_->set_rules({});
+  provisioner_->begin({id("house")});
+  pass(1h);
+  EXPECT_THAT(names(), IsEmpty());
 }
 
 }  // namespace
