@@ -10,7 +10,9 @@ Played play(RecordingReader& recording, double speed, const std::function<bool(c
   std::mutex mutex;
   std::condition_variable_any stopped;
   std::optional<Pace> pace;
-  while (auto next = recording.next()) {
+  while (!stop.stop_requested()) {
+    auto next = recording.next();
+    if (!next) break;
     if (!chosen(*next)) continue;
     if (!pace) pace.emplace(next->at, Pace::Clock::now(), speed);
     const auto due = pace->due(next->at);

@@ -15,6 +15,8 @@ constexpr const char* properties_encoding = "iotcloud.properties";
 /// No message has a property of this name (docs/wire.md#message-metadata), so it holds a time that MCAP cannot.
 constexpr const char* time_name = "time";
 constexpr std::string_view instance_metadata = "metadata.";
+/// Bytes of properties that wait for their messages: a writer of ours puts each right before its message.
+constexpr std::size_t most_waiting = std::size_t{16} << 20;
 
 /// Times that MCAP's unsigned nanoseconds hold.
 bool is_exact(std::int64_t time_ms) {
@@ -115,10 +117,17 @@ RecordingReader::RecordingReader(std::string path, mcap::Limits limits) : reader
   read_channels();
 }
 
+Instant RecordingReader::instant_of(std::uint64_t nanoseconds) {
+  constexpr auto last = static_cast<std::uint64_t>(std::numeric_limits<Instant::rep>::max());
+  return Instant(static_cast<Instant::rep>(std::min(nanoseconds, last)));
+}
+
 void RecordingReader::read_channels() {
   std::unordered_map<std::uint16_t, std::uint64_t> counts;
   for (const auto& [id, count] : reader_.statistics().channel_messages) counts[id] = count;
   const bool ours = reader_.header().profile == profile;
+  std::map<RecordedChannel, std::size_t> places;
+  std::map<std::string, int> names;  // and the last number behind each
   for (const auto& [id, of_file] : reader_.channels()) {
     Source source;
     if (ours && of_file.message_encoding == properties_encoding) {
@@ -147,15 +156,14 @@ void RecordingReader::read_channels() {
     } else {
       channel.driver = "recording";
       channel.name = name_of_topic(of_file.topic);
-      const auto same = [&](const RecordedChannel& other) { return other.name == channel.name; };
       const std::string base = channel.name;
-      for (int i = 2; std::any_of(channels_.begin(), channels_.end(), same); ++i)
-        channel.name = base + "." + std::to_string(i);
+      while (names.contains(channel.name)) channel.name = base + "." + std::to_string(++names[base]);
+      names[channel.name] = 1;
     }
-    const auto found = std::find(channels_.begin(), channels_.end(), channel);
-    source.channel = static_cast<std::size_t>(found - channels_.begin());
-    if (found == channels_.end()) {
-      channels_.push_back(std::move(channel));
+    const auto [place, fresh] = places.try_emplace(std::move(channel), channels_.size());
+    source.channel = place->second;
+    if (fresh) {
+      channels_.push_back(place->first);
       counts_.push_back(0);
     }
     counts_[source.channel] += counts[id];
@@ -163,29 +171,38 @@ void RecordingReader::read_channels() {
   }
 }
 
+void RecordingReader::keep_properties(const Source& source, const mcap::Message& record) {
+  Waiting waiting{record.sequence, record.data.size()};
+  const auto map = mcap::Content(record.data).map();
+  if (map.size() > brokers::max_received_properties)
+    throw RecordingError("a message of the recording has " + std::to_string(map.size()) + " properties");
+  for (const auto& [name, value] : map) {
+    if (name != time_name) {
+      waiting.properties.set(name, value);
+      continue;
+    }
+    std::int64_t time = 0;
+    const auto [end, error] = std::from_chars(value.data(), value.data() + value.size(), time);
+    if (error == std::errc{} && end == value.data() + value.size()) waiting.time_ms = time;
+  }
+  Waiting& place = waiting_[*source.properties_of];
+  waiting_bytes_ += waiting.bytes - place.bytes;
+  if (waiting_bytes_ > most_waiting)
+    throw RecordingError("the recording has more than " + std::to_string(most_waiting >> 20) +
+                         " MiB of properties without their messages");
+  place = std::move(waiting);
+}
+
 std::optional<RecordedMessage> RecordingReader::next() {
   while (const auto record = reader_.next()) {
     const Source& source = sources_.at(record->channel);
     if (source.properties_of) {
-      Waiting waiting{record->sequence};
-      const auto map = mcap::Content(record->data).map();
-      if (map.size() > brokers::max_received_properties)
-        throw RecordingError("a message of the recording has " + std::to_string(map.size()) + " properties");
-      for (const auto& [name, value] : map) {
-        if (name != time_name) {
-          waiting.properties.set(name, value);
-          continue;
-        }
-        std::int64_t time = 0;
-        const auto [end, error] = std::from_chars(value.data(), value.data() + value.size(), time);
-        if (error == std::errc{} && end == value.data() + value.size()) waiting.time_ms = time;
-      }
-      waiting_.insert_or_assign(*source.properties_of, std::move(waiting));
+      keep_properties(source, *record);
       continue;
     }
     RecordedMessage recorded;
     recorded.channel = source.channel;
-    recorded.at = Instant(static_cast<std::int64_t>(record->log_time));
+    recorded.at = instant_of(record->log_time);
     recorded.message.driver_id = source.driver_id;
     recorded.message.gateway_id = source.gateway_id;
     recorded.message.time_ms = static_cast<std::int64_t>(record->publish_time / ns_in_ms);
@@ -195,6 +212,7 @@ std::optional<RecordedMessage> RecordingReader::next() {
         recorded.message.properties = std::move(found->second.properties);
         if (found->second.time_ms) recorded.message.time_ms = *found->second.time_ms;
       }
+      waiting_bytes_ -= found->second.bytes;
       waiting_.erase(found);
     }
     return recorded;
@@ -205,6 +223,7 @@ std::optional<RecordedMessage> RecordingReader::next() {
 void RecordingReader::rewind() {
   reader_.rewind();
   waiting_.clear();
+  waiting_bytes_ = 0;
 }
 
 bool names_instance(const RecordedChannel& channel, std::string_view word) {

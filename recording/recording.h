@@ -1,6 +1,7 @@
 #pragma once
 
 #include <chrono>
+#include <compare>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -29,10 +30,10 @@ struct RecordedChannel {
   bool out = true;   ///< from the driver to the cloud
   bool shared = false;
   std::map<std::string, std::string> metadata{};  ///< of the instance, when the channel was first recorded
-  friend bool operator==(const RecordedChannel&, const RecordedChannel&) = default;
+  friend auto operator<=>(const RecordedChannel&, const RecordedChannel&) = default;
 };
 
-/// Time since 1970 UTC.
+/// Time since 1970 UTC, never negative.
 using Instant = std::chrono::nanoseconds;
 
 /// A message, and when it was recorded.
@@ -96,8 +97,8 @@ class RecordingReader {
   /// How many messages of each channel there are.
   const std::vector<std::uint64_t>& counts() const { return counts_; }
   const mcap::Reader& file() const { return reader_; }
-  Instant start() const { return Instant(static_cast<std::int64_t>(reader_.statistics().start_time)); }
-  Instant end() const { return Instant(static_cast<std::int64_t>(reader_.statistics().end_time)); }
+  Instant start() const { return instant_of(reader_.statistics().start_time); }
+  Instant end() const { return instant_of(reader_.statistics().end_time); }
 
   /// The next message, in the order in which they were recorded; nullopt: there are no more. \throws RecordingError.
   std::optional<RecordedMessage> next();
@@ -113,16 +114,21 @@ class RecordingReader {
   };
   struct Waiting {
     std::uint32_t sequence = 0;
+    std::size_t bytes = 0;  ///< in the file
     brokers::Properties properties{};
     std::optional<std::int64_t> time_ms{};
   };
+  /// A time of the file; one that Instant cannot hold is its last.
+  static Instant instant_of(std::uint64_t nanoseconds);
   void read_channels();
+  void keep_properties(const Source& source, const mcap::Message& record);
 
   mcap::Reader reader_;
   std::vector<RecordedChannel> channels_;
   std::vector<std::uint64_t> counts_;
   std::unordered_map<std::uint16_t, Source> sources_;
   std::unordered_map<std::uint16_t, Waiting> waiting_;  ///< by the channel whose next message they are of
+  std::size_t waiting_bytes_ = 0;                       ///< of all of them
 };
 
 /// Whether a word names the instance of a channel: its id, the id's beginning (4 characters or more), or its alias.

@@ -16,8 +16,9 @@ namespace iotcloud::recording::mcap {
 
 namespace {
 
+constexpr std::size_t longest_compression = 32;  ///< of the word for it
 /// A record of a chunk's head takes at most so much: its fields, and the longest word for a compression.
-constexpr std::uint64_t chunk_head = 8 + 8 + 8 + 4 + 4 + 32 + 8;
+constexpr std::uint64_t chunk_head = 8 + 8 + 8 + 4 + 4 + longest_compression + 8;
 /// Messages outside of chunks are read in runs of about so many bytes.
 constexpr std::uint64_t run_bytes = 4 << 20;
 
@@ -179,6 +180,8 @@ bool Reader::read_summary() {
           if (index.length < head_size || index.offset < magic.size() || index.offset > footer.summary_start ||
               index.length > footer.summary_start - index.offset)
             throw RecordingError("its summary names a chunk that is not in the file");
+          if (index.compression.size() > longest_compression)
+            throw RecordingError("its summary names no compression that can be read");
           compressions_.insert(index.compression);
           add_piece({index.start_time, index.end_time, index.offset, index.length, true});
           break;
@@ -281,6 +284,7 @@ void Reader::walk(std::uint64_t from, std::uint64_t to, bool chunks_too) {
         Piece piece{0, 0, at, whole, true};
         try {
           bool first = true;
+          std::map<std::uint16_t, std::uint64_t> counted;
           for_each_record(chunk_records(piece), at, [&](Opcode opcode, std::string_view inner, std::uint64_t) {
             if (opcode == Opcode::schema || opcode == Opcode::channel) describe(opcode, inner);
             if (opcode != Opcode::message) return;
@@ -288,9 +292,10 @@ void Reader::walk(std::uint64_t from, std::uint64_t to, bool chunks_too) {
             piece.start_time = first ? message.log_time : std::min(piece.start_time, message.log_time);
             piece.end_time = first ? message.log_time : std::max(piece.end_time, message.log_time);
             first = false;
-            ++counted_[message.channel];
+            ++counted[message.channel];
           });
           add_piece(piece);
+          for (const auto& [channel, count] : counted) counted_[channel] += count;
           const auto head = file_->read(at + head_size, std::min(record->length, chunk_head));
           compressions_.insert(read_chunk(head, false).compression);
           ++statistics_.chunks;

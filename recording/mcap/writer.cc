@@ -33,13 +33,14 @@ int open_nameless(const std::string& folder) {
   return named;
 }
 
-/// \return whether all bytes were written; errno says why not.
-bool write_all(int file, std::string_view bytes) {
+/// \return whether all bytes were written at that place; errno says why not.
+bool write_all(int file, std::string_view bytes, std::uint64_t at) {
   while (!bytes.empty()) {
-    const ssize_t done = ::write(file, bytes.data(), bytes.size());
+    const ssize_t done = ::pwrite(file, bytes.data(), bytes.size(), static_cast<off_t>(at));
     if (done < 0 && errno == EINTR) continue;
     if (done < 0) return false;
     bytes.remove_prefix(static_cast<std::size_t>(done));
+    at += static_cast<std::uint64_t>(done);
   }
   return true;
 }
@@ -81,10 +82,9 @@ void Writer::fail(const std::string& what) const {
 /// Appends to the file. What could not be written whole is cut off again, so that the file ends with a whole record.
 void Writer::write(std::string_view bytes) {
   if (file_ < 0) throw RecordingError(path_ + " is closed");
-  if (!write_all(file_, bytes)) {
+  if (!write_all(file_, bytes, written_)) {
     const int why = errno;
-    const bool cut = ftruncate(file_, static_cast<off_t>(written_)) == 0 &&
-                     lseek(file_, static_cast<off_t>(written_), SEEK_SET) >= 0;
+    const bool cut = ftruncate(file_, static_cast<off_t>(written_)) == 0;
     errno = why;
     fail(cut ? "cannot be written; what it has can be read" : "cannot be written; its last record may be unfinished");
   }
@@ -167,8 +167,9 @@ void Writer::write_chunk() {
   index.message_index_length = out.size() - index.length;
   std::string spilled;
   append(spilled, index);
+  // First, and counted last: a chunk that cannot be written whole may be tried again.
+  if (!write_all(spill_, spilled, spilled_)) fail("cannot keep the index of its chunks");
   write(out);
-  if (!write_all(spill_, spilled)) fail("cannot keep the index of its chunks");
   spilled_ += spilled.size();
   for (const auto& [channel, entries] : entries_) counts_[channel] += entries.size();
   const bool first = statistics_.messages == 0;

@@ -279,6 +279,16 @@ TEST(McapReader, TakesNoMemoryForWhatAFileOnlySays) {
   EXPECT_LT(usage.ru_maxrss, most_kilobytes);
 }
 
+TEST(McapReader, CountsNoMessageOfAChunkThatItLeavesOut) {
+  const TemporaryFolder folder;
+  const std::string message = record(0x05, little(1, 2) + std::string(20, '\0'));
+  const std::string records = message + "\x05 cut off";
+  write(folder / "a.mcap", file_with_chunk(records.size(), "", records));
+  Reader reader(folder / "a.mcap");
+  EXPECT_THAT(reader.problem(), HasSubstr("a chunk ends within a record"));
+  EXPECT_EQ(reader.statistics().messages, 0u);
+}
+
 TEST(McapReader, SaysWhatIsNoRecording) {
   const TemporaryFolder folder;
   const auto refusal = [&](const std::string& bytes, Limits limits = {}) -> std::string {

@@ -62,5 +62,16 @@ TEST_F(Player, EndsAtOnceWhenItIsStopped) {
   EXPECT_LT(run(1e-6, [](const RecordedMessage&) { return true; }).messages, 20u);
 }
 
+TEST_F(Player, ReadsNoFurtherWhenItIsStoppedAlsoIfNothingIsChosen) {
+  int looked_at = 0;
+  const auto played = run(1, [&](const RecordedMessage&) {
+    ++looked_at;
+    stop_.request_stop();
+    return false;
+  });
+  EXPECT_EQ(looked_at, 1);
+  EXPECT_EQ(played.messages, 0u);
+}
+
 }  // namespace
 }  // namespace iotcloud::recording

@@ -134,6 +134,34 @@ TEST_F(Recording, OfAnotherProgramHasAChannelForEachTopic) {
   EXPECT_EQ(count, 30);
 }
 
+TEST_F(Recording, OfAnotherProgramTellsTopicsOfOneNameApart) {
+  mcap::Writer writer(file_, {});
+  for (const char* topic : {"/a", "a", "a.2", "//a", "a/b"}) writer.add_channel(0, topic, "", {});
+  writer.add({0, 0, std::uint64_t{1} << 63, 0, "x"});
+  writer.close();
+  RecordingReader reader(file_);
+  std::vector<std::string> names;
+  for (const auto& channel : reader.channels()) names.push_back(channel.name);
+  EXPECT_THAT(names, ::testing::ElementsAre("a", "a.2", "a.2.2", "a.3", "a.b"));
+  EXPECT_EQ(reader.next()->at, Instant::max()) << "a time that nobody can have recorded";
+  EXPECT_EQ(reader.start(), Instant::max());
+}
+
+TEST_F(Recording, KeepsFewPropertiesThatHaveNoMessage) {
+  mcap::Writer writer(file_, {.profile = "iotcloud"});
+  std::string properties;
+  mcap::append(properties, mcap::Map{{"a", std::string(1'000'000, 'x')}});
+  for (std::uint16_t i = 0; i < 20; ++i) {
+    writer.add_channel(0, "/" + std::to_string(i), "iotcloud.properties",
+                       {{"properties_of", std::to_string(1000 + i)}});
+    writer.add({i, 0, i, 0, properties});
+  }
+  writer.close();
+  RecordingReader reader(file_);
+  EXPECT_THAT([&] { reader.next(); },
+              ::testing::ThrowsMessage<RecordingError>(::testing::HasSubstr("properties without their messages")));
+}
+
 TEST_F(Recording, NamesAnInstanceByIdBeginningOrName) {
   auto channel = meter(3);
   EXPECT_TRUE(names_instance(channel, "instance3"));
