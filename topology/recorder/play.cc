@@ -21,7 +21,7 @@ using recording::RecordedMessage;
 namespace {
 
 constexpr std::chrono::seconds for_room{60};
-constexpr std::chrono::seconds for_confirmations{20};
+constexpr std::chrono::seconds for_confirmations{20};  // of all channels together
 constexpr std::chrono::milliseconds look_again{50};
 
 std::string words(const RecordedChannel& channel) {
@@ -92,8 +92,8 @@ class Target {
     }
   }
 
-  void drain(PlayResult& result) {
-    const bool all = publisher_->drain(for_confirmations);
+  void drain(std::chrono::milliseconds limit, PlayResult& result) {
+    const bool all = publisher_->drain(limit);
     const config::MutexLock lock(mutex_);
     result.confirmed += confirmed_;
     for (const auto& [reason, count] : others_) result.others[reason] += count;
@@ -208,7 +208,11 @@ PlayResult play_into(System& system, recording::RecordingReader& recording, cons
         target_of[recorded.channel]->send(std::move(recorded.message), stop);
       },
       stop);
-  for (auto& [key, target] : targets) target->drain(result);
+  const auto end = std::chrono::steady_clock::now() + for_confirmations;
+  for (auto& [key, target] : targets) {
+    const auto rest = std::chrono::ceil<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
+    target->drain(std::max(rest, std::chrono::milliseconds{0}), result);
+  }
   return result;
 }
 
