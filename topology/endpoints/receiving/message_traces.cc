@@ -39,10 +39,7 @@ MessageWay::Step* MessageTrace::step_of(const TopologyContext& task, const detai
   for (const Open& open : open_) {
     if (open.tuple == &tuple && open.task == task.task) return &way_.steps[open.place];
   }
-  if (way_.steps.size() >= MessageWay::most_steps) {
-    ++way_.more_steps;
-    return nullptr;
-  }
+  if (way_.steps.size() >= MessageWay::most_steps) return nullptr;
   open_.push_back({&tuple, task.task, way_.steps.size()});
   MessageWay::Step& step = way_.steps.emplace_back();
   step.component = task.component;
@@ -62,7 +59,10 @@ void MessageTrace::executed(const TopologyContext& task, const detail::TupleData
                             std::int64_t end_ns) noexcept try {
   const config::MutexLock lock(mutex_);
   MessageWay::Step* const step = step_of(task, tuple);
-  if (step == nullptr) return;
+  if (step == nullptr) {
+    ++way_.more_steps;
+    return;
+  }
   step->begin_ns = begin_ns;
   step->end_ns = end_ns;
   if (step->settled_ns != 0) close(task, tuple);
@@ -124,10 +124,19 @@ void MessageTraces::came(const brokers::Message& message, const std::string& top
     if (before == open.slots.end() ? open.slots.size() >= most_topics : before->second == slot) continue;
     open.slots[topic] = slot;
     if (!trace) {
-      auto& followed = followed_[{topic, driver, message.time_ms}];
-      if (!followed.trace)
-        followed = {std::make_shared<MessageTrace>(message, driver, topic, nanoseconds_of(now)), now};
-      trace = followed.trace;
+      const Key key{topic, driver, message.time_ms};
+      auto followed = followed_.find(key);
+      if (followed == followed_.end()) {
+        if (followed_.size() >= most_followed) {
+          ++open.missed;
+          continue;
+        }
+        followed =
+            followed_
+                .emplace(key, Kept{std::make_shared<MessageTrace>(message, driver, topic, nanoseconds_of(now)), now})
+                .first;
+      }
+      trace = followed->second.trace;
     }
     open.kept.push_back({trace, now});
     if (open.kept.size() <= most_kept) continue;

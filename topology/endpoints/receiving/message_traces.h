@@ -83,9 +83,10 @@ class MessageTrace final : public TupleTrace {
 /// is followed when nobody asks for `patience`. Thread safe.
 class MessageTraces {
  public:
-  static constexpr std::size_t most_questions = 8;  ///< that are open at the same time
-  static constexpr std::size_t most_kept = 64;      ///< messages that one question keeps
-  static constexpr std::size_t most_topics = 32;    ///< of one question's driver instance
+  static constexpr std::size_t most_questions = 8;                          ///< that are open at the same time
+  static constexpr std::size_t most_kept = 64;                              ///< messages that one question keeps
+  static constexpr std::size_t most_topics = 32;                            ///< of one question's driver instance
+  static constexpr std::size_t most_followed = most_questions * most_kept;  ///< messages at the same time
   static constexpr std::chrono::seconds patience{5};
   static constexpr std::chrono::seconds longest_way{2};  ///< an unfinished way is told after that
 
