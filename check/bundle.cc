@@ -37,7 +37,7 @@ std::string without_private_keys(std::string text) {
   return text;
 }
 
-/// Passwords in URLs: "amqp://user:password@host". A password may have '/' and '@' in it.
+/// Passwords in URLs: "amqp://user:password@host". A password may have '/', ',' and '@' in it.
 std::string without_passwords_in_urls(const std::string& text) {
   std::string out;
   std::size_t from = 0;
@@ -45,7 +45,7 @@ std::string without_passwords_in_urls(const std::string& text) {
     const auto scheme = text.find("://", from);
     if (scheme == std::string::npos) break;
     const std::size_t start = scheme + 3;
-    auto end = text.find_first_of(" \t\r\n\"',<>[]{}", start);
+    auto end = text.find_first_of(" \t\r\n\"'<>[]{}", start);
     if (end == std::string::npos) end = text.size();
     const auto at = text.rfind('@', end);
     const auto colon = text.find(':', start);
@@ -74,8 +74,9 @@ bool names_secret(std::string key) {
   return false;
 }
 
-/// The word that ends before `end`, perhaps in quotes: the name of what stands behind.
-std::string name_before(const std::string& text, std::size_t end) {
+/// The word that ends before `end`, perhaps in quotes: the name of what stands behind. \param begins_line set to
+/// whether nothing but blanks and dashes stands before it on its line
+std::string name_before(const std::string& text, std::size_t end, bool& begins_line) {
   constexpr std::size_t longest = 100;
   const auto is_blank = [](char c) { return c == ' ' || c == '\t'; };
   while (end > 0 && is_blank(text[end - 1])) --end;
@@ -85,13 +86,38 @@ std::string name_before(const std::string& text, std::size_t end) {
     return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_' || c == '.' || c == '-';
   };
   while (begin > 0 && end - begin < longest && is_of_name(text[begin - 1])) --begin;
+  const auto before = begin == 0 ? std::string::npos : text.find_last_not_of(" \t-\"'", begin - 1);
+  begins_line = before == std::string::npos || text[before] == '\n';
   return text.substr(begin, end - begin);
 }
 
-/// Where the value ends that begins at `begin`: with its quote, or where a word does.
-std::size_t end_of_value(const std::string& text, std::size_t begin) {
+/// Where the lines end that are indented deeper than the one at `at`, which begin behind it: a text of YAML in lines of
+/// its own.
+std::size_t end_of_block(const std::string& text, std::size_t at) {
+  const auto indent = [&](std::size_t line) {
+    const auto first = text.find_first_not_of(' ', line);
+    return (first == std::string::npos ? text.size() : first) - line;
+  };
+  const auto before = text.rfind('\n', at);
+  const std::size_t own = indent(before == std::string::npos ? 0 : before + 1);
+  std::size_t end = std::min(text.find('\n', at), text.size());
+  while (end < text.size()) {
+    const std::size_t line = end + 1;
+    const std::size_t next = std::min(text.find('\n', line), text.size());
+    const bool blank = text.find_first_not_of(" \t\r", line) >= next;
+    if (!blank && indent(line) <= own) break;
+    end = next;
+  }
+  return end;
+}
+
+/// Where the value ends that begins at `begin`: with its quote, or where a word does. \param of_line it is YAML's value
+/// of a key that begins a line: without quotes it goes on to the end of the line, or in lines of its own
+std::size_t end_of_value(const std::string& text, std::size_t begin, bool of_line) {
   const char quote = text[begin];
   if (quote != '"' && quote != '\'') {
+    if (of_line && (quote == '|' || quote == '>')) return end_of_block(text, begin);
+    if (of_line) return std::min(text.find_first_of("\r\n", begin), text.size());
     const auto end = text.find_first_of(" \t\r\n,}]\"'", begin);
     return end == std::string::npos ? text.size() : end;
   }
@@ -106,12 +132,14 @@ std::string without_named_secrets(const std::string& text) {
   std::string out;
   std::size_t from = 0;
   for (auto at = text.find_first_of(":="); at != std::string::npos; at = text.find_first_of(":=", at + 1)) {
-    if (at < from || !names_secret(name_before(text, at))) continue;
+    bool begins_line = false;
+    if (at < from || !names_secret(name_before(text, at, begins_line))) continue;
     const auto begin = text.find_first_not_of(" \t", at + 1);
     if (begin == std::string::npos || text[begin] == '\n' || text[begin] == '\r') continue;
+    const bool of_line = text[at] == ':' && begins_line && text[begin] != '{' && text[begin] != '[';
     const bool quoted = text[begin] == '"' || text[begin] == '\'';
     out.append(text, from, begin + (quoted ? 1 : 0) - from).append(hidden);
-    from = end_of_value(text, begin);
+    from = end_of_value(text, begin, of_line);
   }
   return out.append(text, from, std::string::npos);
 }

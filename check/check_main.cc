@@ -164,11 +164,13 @@ int run_bundle(const Words& words) {
   for (const auto& machine : looked.machines) {
     for (const auto& [key, folder] : machine.folders) {
       if (key != std::string("state")) continue;
+      // Daemons that run remove folders meanwhile.
       std::error_code error;
-      for (const auto& entry :
-           fs::recursive_directory_iterator(folder, fs::directory_options::skip_permission_denied, error)) {
-        if (entry.path().extension() == ".log" && entry.is_regular_file(error))
-          files["logs/" + name_in_bundle(entry.path())] = bytes_of(entry.path(), most_of_a_log);
+      fs::recursive_directory_iterator at(folder, fs::directory_options::skip_permission_denied, error);
+      for (; at != fs::recursive_directory_iterator(); at.increment(error)) {
+        std::error_code gone;
+        if (at->path().extension() == ".log" && at->is_regular_file(gone))
+          files["logs/" + name_in_bundle(at->path())] = bytes_of(at->path(), most_of_a_log);
       }
     }
   }

@@ -92,14 +92,18 @@ std::string listening_inode(int port) {
 std::string holder_of(const std::string& inode) {
   if (inode.empty()) return "";
   const std::string wanted = "socket:[" + inode + "]";
+  // Processes end meanwhile: errors end a list, and throw nothing.
   std::error_code error;
-  for (const auto& process : fs::directory_iterator("/proc", error)) {
-    const std::string id = process.path().filename();
+  const fs::directory_iterator end;
+  for (fs::directory_iterator process("/proc", error); process != end; process.increment(error)) {
+    const std::string id = process->path().filename();
     if (id.find_first_not_of("0123456789") != std::string::npos) continue;
-    std::error_code denied;
-    for (const auto& descriptor : fs::directory_iterator(process.path() / "fd", denied)) {
-      if (fs::read_symlink(descriptor.path(), denied) != wanted) continue;
-      const auto program = fs::read_symlink(process.path() / "exe", denied).filename().string();
+    std::error_code gone;
+    for (fs::directory_iterator descriptor(process->path() / "fd", gone); descriptor != end;
+         descriptor.increment(gone)) {
+      std::error_code closed;
+      if (fs::read_symlink(descriptor->path(), closed) != wanted) continue;
+      const auto program = fs::read_symlink(process->path() / "exe", closed).filename().string();
       return fmt::format("{} (process {})", program.empty() ? "a process" : program, id);
     }
   }

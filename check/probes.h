@@ -6,7 +6,8 @@
 
 namespace iotcloud::check {
 
-// Each looks at one thing, and adds what it found. None changes anything, but for a connection that it makes and ends.
+// Each looks at one thing, and adds what it found. None changes anything, but for a port or a connection that it opens
+// and closes, and a queue at RabbitMQ.
 
 /// Whether this machine's clock is kept by a time server.
 void check_clock(Findings& findings);
@@ -20,7 +21,7 @@ void check_certificates(const Machine& machine, std::int64_t now_s, Findings& fi
 void check_plugins(const Machine& machine, Findings& findings);
 /// Whether the registry answers within the limit, and lets this user read.
 void check_registry(const Machine& machine, std::chrono::milliseconds limit, Findings& findings);
-/// Whether each broker takes a connection within the limit.
+/// Whether each broker takes a connection within the limit. At RabbitMQ it makes a queue, which is gone a minute later.
 void check_brokers(const Machine& machine, std::chrono::milliseconds limit, Findings& findings);
 
 /// All of these.

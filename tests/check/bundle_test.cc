@@ -22,6 +22,10 @@ TEST(Redactor, HidesWhatLooksLikeASecretWhereverItStands) {
       {"  \"api_key\": \"hunter 22\", \"rate\": 5", "  \"api_key\": \"***\", \"rate\": 5"},
       {"DB_PASSWORD=hunter22 x=1", "DB_PASSWORD=*** x=1"},
       {"token: 'hunter22'", "token: '***'"},
+      {"brokers:\n  - password: hunter 22, and 'more'\n    user: a", "brokers:\n  - password: ***\n    user: a"},
+      {"a: 1\n  secret: |\n    hunter22\n\n    hunter23\n  user: a\n", "a: 1\n  secret: ***\n  user: a\n"},
+      {"it says password: hunter22 of anna", "it says password: *** of anna"},
+      {"amqp://u:hun,ter22@h:1", "amqp://u:***@h:1"},
       {"Authorization: Bearer hunter22", "Authorization: Bearer ***"},
       {"the token anna." + digits + " is there", "the token anna.*** is there"},
       {"-----BEGIN PRIVATE KEY-----\nhunter22\n-----END PRIVATE KEY-----\nrest", "(a private key)\nrest"}};
