@@ -128,7 +128,7 @@ class Build:
                         known[path] = machine.owner(path)
                     if known[path]:
                         current.add(known[path])
-        if not self.packages:
+        if ninja.returncode or not self.packages:
             sys.exit(f"{folder} does not know which headers were compiled: build it again")
         self.outputs = {}
         for line in run("ninja", "-C", folder, "-t", "targets", "all").splitlines():
