@@ -1,18 +1,26 @@
+#include <functional>
 #include <optional>
 #include <stdexcept>
 #include <thread>
-#include <type_traits>
 #include <utility>
 
+#include <boost/asio/buffer.hpp>
+#include <boost/asio/error.hpp>
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/post.hpp>
 #include <boost/asio/ssl/context.hpp>
 #include <boost/asio/ssl/host_name_verification.hpp>
+#include <boost/asio/ssl/stream.hpp>
 #include <boost/asio/steady_timer.hpp>
-#include <boost/beast/core.hpp>
-#include <boost/beast/http.hpp>
-#include <boost/beast/ssl.hpp>
+#include <boost/asio/write.hpp>
+#include <boost/beast/core/flat_buffer.hpp>
+#include <boost/beast/core/read_size.hpp>
+#include <boost/beast/core/tcp_stream.hpp>
+#include <boost/beast/http/error.hpp>
+#include <boost/beast/http/parser.hpp>
+#include <boost/beast/http/status.hpp>
+#include <boost/beast/http/string_body.hpp>
 
 #include <iotcloud/drivers/http/http_end.h>
 
@@ -25,8 +33,8 @@ namespace beast = boost::beast;
 namespace wire = beast::http;
 using boost::system::error_code;
 using Tcp = asio::ip::tcp;
-using Plain = beast::tcp_stream;
-using Tls = beast::ssl_stream<beast::tcp_stream>;
+/// Called with how many bytes were read or written.
+using Done = std::function<void(error_code, std::size_t)>;
 
 constexpr std::uint32_t longest_head = 8192;
 /// The most time for a whole request, however slowly its bytes come, and for taking the answer.
@@ -58,12 +66,93 @@ bool is_too_long(const Parser& parser, std::size_t most) {
   return length && *length > most;
 }
 
-/// A connection of somebody who sends requests, one after the other.
-template <typename Stream>
-class Session : public std::enable_shared_from_this<Session<Stream>> {
+/// TCP. All handlers have one type, so that Asio's operations, which are templates, are compiled once (as in
+/// rpc/http/http_line.h, which a driver may not use).
+class Plain {
  public:
-  Session(Stream stream, std::shared_ptr<Server> server, std::string peer)
-      : stream_(std::move(stream)), server_(std::move(server)), peer_(std::move(peer)) {
+  using executor_type = beast::tcp_stream::executor_type;
+  using lowest_layer_type = Plain;
+
+  explicit Plain(Tcp::socket socket) : stream(std::move(socket)) {}
+  executor_type get_executor() { return stream.get_executor(); }
+  lowest_layer_type& lowest_layer() { return *this; }
+
+  template <typename Buffers, typename Handler>
+  void async_read_some(const Buffers& buffers, Handler handler) {
+    read_some(*asio::buffer_sequence_begin(buffers), Done(std::move(handler)));
+  }
+  template <typename Buffers, typename Handler>
+  void async_write_some(const Buffers& buffers, Handler handler) {
+    write_some(*asio::buffer_sequence_begin(buffers), Done(std::move(handler)));
+  }
+  void read_some(asio::mutable_buffer into, Done done) { stream.async_read_some(into, std::move(done)); }
+  void write_some(asio::const_buffer bytes, Done done) { stream.async_write_some(bytes, std::move(done)); }
+
+  beast::tcp_stream stream;
+};
+
+/// A connection, with TLS or without.
+struct Line {
+  /// \param context null: without TLS
+  Line(Tcp::socket socket, asio::ssl::context* context) : plain(std::move(socket)) {
+    if (context != nullptr) tls.emplace(plain, *context);
+  }
+
+  void shake_hands(asio::ssl::stream_base::handshake_type side, std::function<void(error_code)> done) {
+    if (!tls) return done({});
+    tls->async_handshake(side, std::move(done));
+  }
+  void read_some(asio::mutable_buffer into, Done done) {
+    if (tls) return tls->async_read_some(into, std::move(done));
+    plain.read_some(into, std::move(done));
+  }
+  void write(const std::string& bytes, Done done) {
+    if (tls) return asio::async_write(*tls, asio::buffer(bytes), std::move(done));
+    asio::async_write(plain, asio::buffer(bytes), std::move(done));
+  }
+
+  Plain plain;
+  std::optional<asio::ssl::stream<Plain&>> tls;
+  beast::flat_buffer buffer{};  ///< what was read, and not parsed yet
+};
+
+enum class Part { head, whole };
+
+/// Reads until the parser has this part of a message. `done` keeps the line and the parser alive.
+template <bool is_request>
+void read_message(Line& line, wire::basic_parser<is_request>& parser, Part part, std::function<void(error_code)> done) {
+  constexpr std::size_t most_at_once = 65'536;
+  error_code error;
+  parser.eager(part == Part::whole);
+  while (!error && !(part == Part::head ? parser.is_header_done() : parser.is_done())) {
+    if (line.buffer.size() > 0) {
+      line.buffer.consume(parser.put(line.buffer.data(), error));
+      if (error != wire::error::need_more) continue;
+      error = {};
+    }
+    return line.read_some(line.buffer.prepare(beast::read_size(line.buffer, most_at_once)),
+                          [&line, &parser, part, done = std::move(done)](error_code failure, std::size_t count) {
+                            line.buffer.commit(count);
+                            if (failure == asio::error::eof) {
+                              failure = {};
+                              if (parser.got_some()) {
+                                parser.put_eof(failure);
+                              } else {
+                                failure = wire::error::end_of_stream;
+                              }
+                            }
+                            if (failure) return done(failure);
+                            read_message(line, parser, part, done);
+                          });
+  }
+  done(error);
+}
+
+/// A connection of somebody who sends requests, one after the other.
+class Session : public std::enable_shared_from_this<Session> {
+ public:
+  Session(Tcp::socket socket, asio::ssl::context* tls, std::shared_ptr<Server> server, std::string peer)
+      : line_(std::move(socket), tls), server_(std::move(server)), peer_(std::move(peer)) {
     ++server_->open;
   }
   ~Session() { --server_->open; }
@@ -72,34 +161,29 @@ class Session : public std::enable_shared_from_this<Session<Stream>> {
 
   void run() {
     limit();
-    if constexpr (std::is_same_v<Stream, Tls>) {
-      stream_.async_handshake(asio::ssl::stream_base::server, [self = this->shared_from_this()](error_code error) {
-        if (!error) self->read();
-      });
-    } else {
-      read();
-    }
+    line_.shake_hands(asio::ssl::stream_base::server, [self = shared_from_this()](error_code error) {
+      if (!error) self->read();
+    });
   }
 
  private:
-  void limit() { beast::get_lowest_layer(stream_).expires_after(request_limit); }
+  void limit() { line_.plain.stream.expires_after(request_limit); }
 
   void read() {
     limit();
     parser_.emplace();
     parser_->header_limit(longest_head);
     parser_->body_limit(server_->options.most_bytes);
-    wire::async_read_header(stream_, buffer_, *parser_,
-                            [self = this->shared_from_this()](error_code error, std::size_t) {
-                              if (error || is_too_long(*self->parser_, self->server_->options.most_bytes))
-                                return self->received(error ? error : wire::error::body_limit);
-                              self->read_body();
-                            });
+    read_message(line_, *parser_, Part::head, [self = shared_from_this()](error_code error) {
+      if (error || is_too_long(*self->parser_, self->server_->options.most_bytes))
+        return self->received(error ? error : wire::error::body_limit);
+      self->read_body();
+    });
   }
 
   void read_body() {
-    wire::async_read(stream_, buffer_, *parser_,
-                     [self = this->shared_from_this()](error_code error, std::size_t) { self->received(error); });
+    read_message(line_, *parser_, Part::whole,
+                 [self = shared_from_this()](error_code error) { self->received(error); });
   }
 
   void received(error_code error) {
@@ -132,80 +216,72 @@ class Session : public std::enable_shared_from_this<Session<Stream>> {
 
   void answer(const WebhookAnswer& answer, bool goes_on) {
     limit();
-    response_ = {};
-    response_.version(11);
-    response_.result(static_cast<unsigned>(answer.status));
-    response_.keep_alive(goes_on);
-    if (answer.retry_after_s > 0) response_.set(wire::field::retry_after, std::to_string(answer.retry_after_s));
-    if (answer.status == 401) response_.set(wire::field::www_authenticate, "Bearer");
-    if (!answer.text.empty()) response_.set(wire::field::content_type, "text/plain");
-    response_.body() = answer.text;
-    if (answer.status != 204) response_.prepare_payload();
-    wire::async_write(stream_, response_, [self = this->shared_from_this(), goes_on](error_code error, std::size_t) {
+    answer_ = "HTTP/1.1 " + std::to_string(answer.status) + " " +
+              text_of(wire::obsolete_reason(static_cast<wire::status>(answer.status))) + "\r\n";
+    if (!goes_on) answer_ += "Connection: close\r\n";
+    if (answer.retry_after_s > 0) answer_ += "Retry-After: " + std::to_string(answer.retry_after_s) + "\r\n";
+    if (answer.status == 401) answer_ += "WWW-Authenticate: Bearer\r\n";
+    if (!answer.text.empty()) answer_ += "Content-Type: text/plain\r\n";
+    if (answer.status != 204) answer_ += "Content-Length: " + std::to_string(answer.text.size()) + "\r\n";
+    answer_ += "\r\n" + answer.text;
+    line_.write(answer_, [self = shared_from_this(), goes_on](error_code error, std::size_t) {
       if (!error && goes_on) return self->read();
       error_code ignored;
-      beast::get_lowest_layer(self->stream_).socket().shutdown(Tcp::socket::shutdown_send, ignored);
+      self->line_.plain.stream.socket().shutdown(Tcp::socket::shutdown_send, ignored);
     });
   }
 
-  Stream stream_;
+  Line line_;
   const std::shared_ptr<Server> server_;
   const std::string peer_;
-  beast::flat_buffer buffer_;
   std::optional<wire::request_parser<wire::string_body>> parser_;
-  wire::response<wire::string_body> response_;
+  std::string answer_;  ///< that is being sent
 };
 
 /// One call, on a connection of its own.
-template <typename Stream>
-class Calling : public std::enable_shared_from_this<Calling<Stream>> {
+class Calling : public std::enable_shared_from_this<Calling> {
  public:
-  Calling(asio::io_context& context, Stream stream, Call call, std::function<void(CallAnswer)> handler)
-      : resolver_(context), stream_(std::move(stream)), call_(std::move(call)), handler_(std::move(handler)) {
+  /// \param tls its settings, for this call alone; null: without TLS
+  Calling(asio::io_context& context, asio::ssl::context* tls, Call call, std::function<void(CallAnswer)> handler)
+      : resolver_(context), line_(Tcp::socket(context), tls), call_(std::move(call)), handler_(std::move(handler)) {
     parser_.body_limit(call_.most_bytes);
+    if (line_.tls) line_.tls->set_verify_callback(asio::ssl::host_name_verification(call_.host));
   }
 
   void run() {
-    resolver_.async_resolve(
-        call_.host, call_.port, [self = this->shared_from_this()](error_code error, const auto& found) {
-          if (error) return self->fail("its name has no address", error);
-          self->limit();
-          beast::get_lowest_layer(self->stream_).async_connect(found, [self](error_code problem, const Tcp::endpoint&) {
-            if (problem) return self->fail("it cannot be reached", problem);
-            self->shake_hands();
-          });
-        });
+    resolver_.async_resolve(call_.host, call_.port, [self = shared_from_this()](error_code error, const auto& found) {
+      if (error) return self->fail("its name has no address", error);
+      self->limit();
+      self->line_.plain.stream.async_connect(found, [self](error_code problem, const Tcp::endpoint&) {
+        if (problem) return self->fail("it cannot be reached", problem);
+        self->shake_hands();
+      });
+    });
   }
 
  private:
-  void limit() { beast::get_lowest_layer(stream_).expires_after(call_.limit); }
+  void limit() { line_.plain.stream.expires_after(call_.limit); }
 
   void shake_hands() {
-    if constexpr (std::is_same_v<Stream, Tls>) {
-      limit();
-      SSL_ctrl(stream_.native_handle(), SSL_CTRL_SET_TLSEXT_HOSTNAME, TLSEXT_NAMETYPE_host_name, call_.host.data());
-      stream_.async_handshake(asio::ssl::stream_base::client, [self = this->shared_from_this()](error_code error) {
-        if (error) return self->fail("TLS", error);
-        self->write();
-      });
-    } else {
-      write();
-    }
+    limit();
+    if (line_.tls)
+      SSL_ctrl(line_.tls->native_handle(), SSL_CTRL_SET_TLSEXT_HOSTNAME, TLSEXT_NAMETYPE_host_name, call_.host.data());
+    line_.shake_hands(asio::ssl::stream_base::client, [self = shared_from_this()](error_code error) {
+      if (error) return self->fail("TLS", error);
+      self->write();
+    });
   }
 
   void write() try {
     limit();
-    request_.version(11);
-    request_.method_string(call_.method);
-    request_.target(call_.target);
-    request_.set(wire::field::host, call_.host + ":" + call_.port);
-    request_.set(wire::field::user_agent, "iotcloud");
-    if (!call_.content_type.empty()) request_.set(wire::field::content_type, call_.content_type);
-    if (!call_.authorization.empty()) request_.set(wire::field::authorization, call_.authorization);
-    request_.keep_alive(false);
-    request_.body() = std::move(call_.body);
-    request_.prepare_payload();
-    wire::async_write(stream_, request_, [self = this->shared_from_this()](error_code error, std::size_t) {
+    request_ = call_.method + " " + call_.target + " HTTP/1.1\r\nHost: " + call_.host + ":" + call_.port +
+               "\r\nUser-Agent: iotcloud\r\nConnection: close\r\n";
+    if (!call_.content_type.empty()) request_ += "Content-Type: " + call_.content_type + "\r\n";
+    if (!call_.authorization.empty()) request_ += "Authorization: " + call_.authorization + "\r\n";
+    if (!call_.body.empty() || call_.method == "POST" || call_.method == "PUT" || call_.method == "OPTIONS")
+      request_ += "Content-Length: " + std::to_string(call_.body.size()) + "\r\n";
+    request_ += "\r\n" + call_.body;
+    line_.write(request_, [self = shared_from_this()](error_code error, std::size_t) {
       if (error) return self->fail("it took no request", error);
       self->read();
     });
@@ -216,17 +292,16 @@ class Calling : public std::enable_shared_from_this<Calling<Stream>> {
   void read() {
     limit();
     if (call_.method == "HEAD") parser_.skip(true);
-    wire::async_read_header(
-        stream_, buffer_, parser_, [self = this->shared_from_this()](error_code error, std::size_t) {
-          if (!error && self->call_.method != "HEAD" && is_too_long(self->parser_, self->call_.most_bytes))
-            error = wire::error::body_limit;
-          if (error) return self->fail("its answer", error);
-          self->read_body();
-        });
+    read_message(line_, parser_, Part::head, [self = shared_from_this()](error_code error) {
+      if (!error && self->call_.method != "HEAD" && is_too_long(self->parser_, self->call_.most_bytes))
+        error = wire::error::body_limit;
+      if (error) return self->fail("its answer", error);
+      self->read_body();
+    });
   }
 
   void read_body() {
-    wire::async_read(stream_, buffer_, parser_, [self = this->shared_from_this()](error_code error, std::size_t) {
+    read_message(line_, parser_, Part::whole, [self = shared_from_this()](error_code error) {
       if (error) return self->fail("its answer", error);
       auto& response = self->parser_.get();
       CallAnswer answer;
@@ -245,11 +320,10 @@ class Calling : public std::enable_shared_from_this<Calling<Stream>> {
   }
 
   Tcp::resolver resolver_;
-  Stream stream_;
+  Line line_;
   Call call_;
   const std::function<void(CallAnswer)> handler_;
-  beast::flat_buffer buffer_;
-  wire::request<wire::string_body> request_;
+  std::string request_;
   wire::response_parser<wire::string_body> parser_;
 };
 
@@ -296,11 +370,7 @@ struct HttpEnd::Impl {
     error_code gone;
     const std::string peer = text_of(socket.remote_endpoint(gone));
     if (gone) return;
-    if (server_tls) {
-      std::make_shared<Session<Tls>>(Tls(Plain(std::move(socket)), *server_tls), server, peer)->run();
-    } else {
-      std::make_shared<Session<Plain>>(Plain(std::move(socket)), server, peer)->run();
-    }
+    std::make_shared<Session>(std::move(socket), server_tls ? &*server_tls : nullptr, server, peer)->run();
   }
 };
 
@@ -327,25 +397,20 @@ std::string HttpEnd::serve(const ServerOptions& options, std::function<WebhookAn
 }
 
 void HttpEnd::call(Call call, std::function<void(CallAnswer)> handler) {
-  if (!call.tls) {
-    const auto calling =
-        std::make_shared<Calling<Plain>>(impl_->context, Plain(impl_->context), std::move(call), std::move(handler));
-    asio::post(impl_->context, [calling] { calling->run(); });
-    return;
-  }
   try {
-    asio::ssl::context tls(asio::ssl::context::tls_client);  // the stream keeps a reference of its own
-    SSL_CTX_set_min_proto_version(tls.native_handle(), TLS1_2_VERSION);
-    if (call.ca.empty()) {
-      tls.set_default_verify_paths();
-    } else {
-      tls.load_verify_file(call.ca);
+    std::optional<asio::ssl::context> tls;  // the connection keeps a reference of its own
+    if (call.tls) {
+      tls.emplace(asio::ssl::context::tls_client);
+      SSL_CTX_set_min_proto_version(tls->native_handle(), TLS1_2_VERSION);
+      if (call.ca.empty()) {
+        tls->set_default_verify_paths();
+      } else {
+        tls->load_verify_file(call.ca);
+      }
+      tls->set_verify_mode(asio::ssl::verify_peer);
     }
-    tls.set_verify_mode(asio::ssl::verify_peer);
-    Tls stream(Plain(impl_->context), tls);
-    stream.set_verify_callback(asio::ssl::host_name_verification(call.host));
     const auto calling =
-        std::make_shared<Calling<Tls>>(impl_->context, std::move(stream), std::move(call), std::move(handler));
+        std::make_shared<Calling>(impl_->context, tls ? &*tls : nullptr, std::move(call), std::move(handler));
     asio::post(impl_->context, [calling] { calling->run(); });
   } catch (const boost::system::system_error& e) {
     throw std::runtime_error(std::string("TLS: ") + e.what());

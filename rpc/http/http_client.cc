@@ -1,24 +1,26 @@
 #include <chrono>
+#include <functional>
 #include <utility>
 
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
-#include <boost/asio/ssl/context.hpp>
-#include <boost/beast/core.hpp>
-#include <boost/beast/http.hpp>
-#include <boost/beast/ssl.hpp>
+#include <boost/beast/core/flat_buffer.hpp>
+#include <boost/beast/http/parser.hpp>
+#include <boost/beast/http/string_body.hpp>
 #include <fmt/format.h>
 
 #include <iotcloud/rpc/http/http_address.h>
 #include <iotcloud/rpc/http/http_client.h>
+#include <iotcloud/rpc/http/http_line.h>
+#include <iotcloud/rpc/http/http_message.h>
 
 namespace iotcloud::rpc {
 
 namespace {
 
 namespace asio = boost::asio;
-namespace beast = boost::beast;
-namespace http = beast::http;
+namespace http = boost::beast::http;
+using boost::system::error_code;
 
 constexpr std::chrono::seconds patience{5};
 
@@ -32,35 +34,32 @@ class Asking {
     if (reader_.tls.empty()) {
       const auto host = asio::ip::make_address(to.host);
       if (!host.is_loopback()) throw HttpError(address_ + " is on another machine, and is asked by TLS only");
-      beast::tcp_stream stream(io_);
+      HttpLine line(tcp::socket(io_), nullptr);
       const tcp::endpoint at(host, static_cast<std::uint16_t>(std::stoi(to.port)));
-      complete(stream, [&](auto done) { stream.async_connect(at, done); });
-      return read(stream, target);
+      const auto place = tcp::resolver::results_type::create(at, to.host, to.port);
+      complete(line, [&](auto done) { line.connect(place, done); });
+      return read(line, target);
     }
     const security::TlsContext tls(reader_.tls, security::TlsContext::Side::client);
-    SSL_CTX_up_ref(tls.get());
-    asio::ssl::context context(tls.get());  // owns the reference
-    beast::ssl_stream<beast::tcp_stream> stream(io_, context);
-    security::expect_host(stream.native_handle(), to.host);
-    auto& connection = beast::get_lowest_layer(stream);
+    HttpLine line(tcp::socket(io_), tls.get());
+    security::expect_host(line.tls(), to.host);
     tcp::resolver resolver(io_);
-    boost::system::error_code unknown;
+    error_code unknown;
     const auto places = resolver.resolve(to.host, to.port, tcp::resolver::numeric_service, unknown);
     if (unknown) throw HttpUnreachable(fmt::format("{} does not answer: {}", address_, unknown.message()));
-    complete(connection, [&](auto done) { connection.async_connect(places, done); });
-    complete(connection, [&](auto done) { stream.async_handshake(asio::ssl::stream_base::client, done); });
-    return read(stream, target);
+    complete(line, [&](auto done) { line.connect(places, done); });
+    complete(line, [&](auto done) { line.shake_hands(HttpLine::Side::client, done); });
+    return read(line, target);
   }
 
  private:
   using tcp = asio::ip::tcp;
 
   /// Runs one asynchronous operation until its end or its time-out. \throws HttpError, HttpUnreachable
-  template <typename Begin>
-  void complete(beast::tcp_stream& stream, Begin&& begin) {
-    boost::system::error_code result;
-    stream.expires_after(patience);
-    begin([&result](boost::system::error_code error, auto&&...) { result = error; });
+  void complete(HttpLine& line, const std::function<void(HttpLine::Done)>& begin) {
+    error_code result;
+    line.expires_after(patience);
+    begin([&result](error_code error, std::size_t) { result = error; });
     io_.restart();
     io_.run();
     const auto& of_http = http::make_error_code(http::error::end_of_stream);
@@ -69,21 +68,21 @@ class Asking {
     if (result) throw HttpUnreachable(fmt::format("{} does not answer: {}", address_, result.message()));
   }
 
-  template <typename Stream>
-  std::string read(Stream& stream, const std::string& target) {
-    auto& connection = beast::get_lowest_layer(stream);
-    http::request<http::empty_body> request(http::verb::get, target, 11);
-    request.set(http::field::host, address_);
-    if (!reader_.token.empty()) request.set(http::field::authorization, "Bearer " + reader_.token);
-    request.keep_alive(false);
-    complete(connection, [&](auto done) { http::async_write(stream, request, done); });
-    beast::flat_buffer buffer;
+  std::string read(HttpLine& line, const std::string& target) {
+    std::string request = fmt::format("GET {} HTTP/1.1\r\nHost: {}\r\nConnection: close\r\n", target, address_);
+    if (!reader_.token.empty()) request += fmt::format("Authorization: Bearer {}\r\n", reader_.token);
+    request += "\r\n";
+    complete(line, [&](auto done) { line.write(asio::buffer(request), done); });
+    boost::beast::flat_buffer buffer;
     http::response_parser<http::string_body> response;
     response.body_limit(reader_.largest_page);
     // The header by itself: where a part of the body comes with it, Beast 1.74 goes on after a length above the limit,
     // and takes memory for it.
-    complete(connection, [&](auto done) { http::async_read_header(stream, buffer, response, done); });
-    complete(connection, [&](auto done) { http::async_read(stream, buffer, response, done); });
+    for (const HttpPart part : {HttpPart::head, HttpPart::whole}) {
+      complete(line, [&](auto done) {
+        read_message(line, buffer, response, part, [done](error_code error) { done(error, 0); });
+      });
+    }
     if (response.get().result() != http::status::ok) {
       throw HttpError(fmt::format("{}{}: {}", address_, target.substr(0, target.find('?')), response.get().body()));
     }

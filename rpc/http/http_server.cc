@@ -9,25 +9,24 @@
 #include <optional>
 #include <string_view>
 #include <thread>
-#include <type_traits>
 #include <vector>
 
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/asio/post.hpp>
-#include <boost/asio/ssl/context.hpp>
 #include <boost/asio/steady_timer.hpp>
-#include <boost/asio/write.hpp>
-#include <boost/beast/core.hpp>
-#include <boost/beast/http.hpp>
-#include <boost/beast/ssl.hpp>
-#include <boost/beast/version.hpp>
+#include <boost/beast/core/flat_buffer.hpp>
+#include <boost/beast/http/parser.hpp>
+#include <boost/beast/http/status.hpp>
+#include <boost/beast/http/string_body.hpp>
 #include <fmt/format.h>
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/config/mutex.h>
 #include <iotcloud/rpc/http/http_address.h>
+#include <iotcloud/rpc/http/http_line.h>
+#include <iotcloud/rpc/http/http_message.h>
 #include <iotcloud/rpc/http/http_server.h>
 #include <iotcloud/rpc/http/http_site.h>
 #include <iotcloud/rpc/http/page_guard.h>
@@ -117,8 +116,7 @@ using HttpConnections = std::list<HttpConnection*>;
 class Gate {
  public:
   explicit Gate(asio::io_context& io) : io_(&io) {}
-  template <typename Task>
-  void post(Task task) IOTCLOUD_EXCLUDES(mutex_) {
+  void post(std::function<void()> task) IOTCLOUD_EXCLUDES(mutex_) {
     const config::MutexLock lock(mutex_);
     if (io_ != nullptr) asio::post(*io_, std::move(task));
   }
@@ -271,40 +269,37 @@ class SiteReply final : public HttpReply {
   std::atomic<bool> given_{false};
 };
 
-using PlainStream = beast::tcp_stream;
-using TlsStream = beast::ssl_stream<beast::tcp_stream>;
+/// "HTTP/1.1 200 OK" with the end of the line.
+std::string status_line(int status, unsigned version) {
+  const auto reason = http::obsolete_reason(static_cast<http::status>(status));
+  return fmt::format("HTTP/{}.{} {} {}\r\n", version / 10, version % 10, status, reason.to_string());
+}
 
-/// One connection. Lives as long as one of its operations is pending.
-template <typename Stream>
-class HttpConnectionOver final : public HttpConnection,
-                                 public std::enable_shared_from_this<HttpConnectionOver<Stream>> {
+/// A connection with its conversation. Lives as long as one of its operations is pending.
+class HttpConversation final : public HttpConnection, public std::enable_shared_from_this<HttpConversation> {
  public:
-  template <typename... Rest>
-  HttpConnectionOver(Shared& shared, tcp::socket socket, Rest&... rest)
-      : HttpConnection(shared, stranger_at(socket)), stream_(std::move(socket), rest...) {}
-  ~HttpConnectionOver() override {
+  /// \param tls null: without TLS
+  HttpConversation(Shared& shared, tcp::socket socket, ssl_ctx_st* tls)
+      : HttpConnection(shared, stranger_at(socket)), line_(std::move(socket), tls) {}
+  ~HttpConversation() override {
     if (state_) state_->open = false;
   }
-  HttpConnectionOver(const HttpConnectionOver&) = delete;
-  HttpConnectionOver& operator=(const HttpConnectionOver&) = delete;
+  HttpConversation(const HttpConversation&) = delete;
+  HttpConversation& operator=(const HttpConversation&) = delete;
 
   std::string distrust(const security::TlsContext& tls) override {
-    if constexpr (secure) return tls.distrust(security::shown_certificate(stream_.native_handle()));
-    return "";
+    return line_.tls() == nullptr ? "" : tls.distrust(security::shown_certificate(line_.tls()));
   }
 
   void start() {
-    if constexpr (secure) {
-      begin();
-      socket_stream().expires_after(request_limit);
-      stream_.async_handshake(asio::ssl::stream_base::server, [self = this->shared_from_this()](error_code error) {
-        if (!self->is_open()) return;
-        if (!error) return self->greet();
-        self->shared_.refused("tls", "a reader cannot be talked to by TLS: " + error.message());
-      });
-    } else {
-      read();
-    }
+    if (line_.tls() == nullptr) return read();
+    begin();
+    line_.expires_after(request_limit);
+    line_.shake_hands(HttpLine::Side::server, [self = shared_from_this()](error_code error, std::size_t) {
+      if (!self->is_open()) return;
+      if (!error) return self->greet();
+      self->shared_.refused("tls", "a reader cannot be talked to by TLS: " + error.message());
+    });
   }
 
   /// The site has an answer.
@@ -318,9 +313,8 @@ class HttpConnectionOver final : public HttpConnection,
   void begin_stream(HttpAnswer head, std::shared_ptr<StreamState> state) {
     if (!is_open()) return;
     state_ = std::move(state);
-    auto text =
-        fmt::format("HTTP/1.1 {} {}\r\nServer: iotcloud\r\nConnection: close\r\nContent-Type: {}\r\n", head.status,
-                    http::obsolete_reason(static_cast<http::status>(head.status)).to_string(), head.content_type);
+    auto text = status_line(head.status, 11) +
+                fmt::format("Server: iotcloud\r\nConnection: close\r\nContent-Type: {}\r\n", head.content_type);
     for (const auto& [name, value] : head.headers) text += fmt::format("{}: {}\r\n", name, value);
     text += "\r\n" + head.body;
     state_->untaken += text.size();
@@ -351,9 +345,7 @@ class HttpConnectionOver final : public HttpConnection,
   }
 
  private:
-  static constexpr bool secure = std::is_same_v<Stream, TlsStream>;
-  beast::tcp_stream& socket_stream() { return beast::get_lowest_layer(stream_); }
-  void close() override { socket_stream().close(); }
+  void close() override { line_.close(); }
 
   /// The handshake has ended.
   void greet() {
@@ -366,8 +358,8 @@ class HttpConnectionOver final : public HttpConnection,
     parser_.emplace();
     parser_->header_limit(longest_head);
     parser_->body_limit(shared_.site ? longest_body : 0);
-    socket_stream().expires_after(request_limit);
-    http::async_read(stream_, buffer_, *parser_, [self = this->shared_from_this()](error_code error, std::size_t) {
+    line_.expires_after(request_limit);
+    read_message(line_, buffer_, *parser_, HttpPart::whole, [self = shared_from_this()](error_code error) {
       if (!self->is_open()) return;
       if (!error && self->shared_.site) return self->hand_over();
       if (!error) return self->await_turn(std::chrono::steady_clock::now() + turn_limit);
@@ -390,7 +382,7 @@ class HttpConnectionOver final : public HttpConnection,
       return write(HttpAnswer{429, "text/plain", reader() + " asks for too much; try again later\n"});
     }
     turn_.expires_after(wait);
-    turn_.async_wait([self = this->shared_from_this(), end](error_code) {
+    turn_.async_wait([self = shared_from_this(), end](error_code) {
       if (self->is_open()) self->await_turn(end);  // others of this reader may have had their turns meanwhile
     });
   }
@@ -410,22 +402,18 @@ class HttpConnectionOver final : public HttpConnection,
       shown_ = shown;
     }
     if (holder_ && shared_.guard.still_may(*holder_)) return std::nullopt;
-    response_.set(http::field::www_authenticate, "Bearer");
     shared_.refused("token", "a reader shows no token, or one that is nobody's");
-    return HttpAnswer{401, "text/plain", "these pages ask for a token: send the header Authorization: Bearer TOKEN\n"};
+    return HttpAnswer{401,
+                      "text/plain",
+                      "these pages ask for a token: send the header Authorization: Bearer TOKEN\n",
+                      {{"WWW-Authenticate", "Bearer"}}};
   }
 
-  std::string certificate() {
-    if constexpr (secure) {
-      return security::peer_subject(stream_.native_handle());
-    } else {
-      return "";
-    }
-  }
+  std::string certificate() { return line_.tls() == nullptr ? "" : security::peer_subject(line_.tls()); }
 
   HttpAnswer answer() {
     if (auto refused = refusal()) {
-      response_.keep_alive(false);  // so that each further token that somebody tries costs a handshake
+      keep_alive_ = false;  // so that each further token that somebody tries costs a handshake
       return *std::move(refused);
     }
     const auto target = parser_->get().target();
@@ -439,7 +427,7 @@ class HttpConnectionOver final : public HttpConnection,
   /// Gives the request to the site. Until the site answers no operation is pending.
   void hand_over() {
     begin();
-    socket_stream().expires_never();
+    line_.expires_never();
     const auto& got = parser_->get();
     auto request = parse_target<SiteRequest>({got.target().data(), got.target().size()});
     head_ = got.method() == http::verb::head;
@@ -452,14 +440,13 @@ class HttpConnectionOver final : public HttpConnection,
     }
     request.body = got.body();
     error_code ignored;
-    auto& socket = socket_stream().socket();
+    auto& socket = line_.socket();
     const auto from = socket.remote_endpoint(ignored);
     request.address = fmt::format("{}:{}", from.address().to_string(), from.port());
     request.certificate = certificate();
     request.user = peer_user(socket.native_handle());
-    const auto self = this->shared_from_this();
-    keep(self);
-    const auto reply = std::make_shared<SiteReply<HttpConnectionOver>>(shared_.gate, this->weak_from_this());
+    keep(shared_from_this());
+    const auto reply = std::make_shared<SiteReply<HttpConversation>>(shared_.gate, weak_from_this());
     try {
       shared_.site(std::move(request), reply);
     } catch (const std::exception& error) {
@@ -469,94 +456,72 @@ class HttpConnectionOver final : public HttpConnection,
 
   void write_piece() {
     begin();
-    socket_stream().expires_after(answer_limit);
-    asio::async_write(stream_, asio::buffer(*pieces_.front()),
-                      [self = this->shared_from_this()](error_code error, std::size_t) {
-                        if (!self->is_open()) return;
-                        if (error) return self->cut();
-                        self->state_->untaken -= self->pieces_.front()->size();
-                        self->pieces_.pop_front();
-                        if (!self->pieces_.empty()) return self->write_piece();
-                        if (!self->ending_) return;
-                        const auto last = self->release();
-                        self->end();
-                      });
+    line_.expires_after(answer_limit);
+    line_.write(asio::buffer(*pieces_.front()), [self = shared_from_this()](error_code error, std::size_t) {
+      if (!self->is_open()) return;
+      if (error) return self->cut();
+      self->state_->untaken -= self->pieces_.front()->size();
+      self->pieces_.pop_front();
+      if (!self->pieces_.empty()) return self->write_piece();
+      if (!self->ending_) return;
+      const auto last = self->release();
+      self->end();
+    });
   }
 
   /// \param refused the answer instead of a page
   void write(std::optional<HttpAnswer> refused = std::nullopt) {
     page_took_ = {};
     const auto& request = parser_->get();
-    begin_response(request.keep_alive() && !refused);
+    begin();
+    keep_alive_ = request.keep_alive() && !refused;
     head_ = request.method() == http::verb::head;
-    if (head_ || request.method() == http::verb::get) {
-      fill(refused ? *std::move(refused) : answer());
-    } else {
-      response_.result(http::status::method_not_allowed);
-      response_.set(http::field::allow, "GET, HEAD");
-      response_.prepare_payload();
-    }
+    HttpAnswer made{405, "", "", {{"Allow", "GET, HEAD"}}};
+    if (head_ || request.method() == http::verb::get) made = refused ? *std::move(refused) : answer();
     shared_.turns.took(reader(), page_took_);
-    write_response();
+    write_answer(made);
   }
 
   /// Sends what the site answers.
   void send(HttpAnswer made) {
-    begin_response(parser_->get().keep_alive());
-    fill(std::move(made));
-    write_response();
-  }
-
-  void begin_response(bool keep_alive) {
     begin();
-    response_ = {};
-    response_.version(parser_->get().version());
-    response_.keep_alive(keep_alive);
-    response_.set(http::field::server, "iotcloud");
+    keep_alive_ = parser_->get().keep_alive();
+    write_answer(made);
   }
 
-  void fill(HttpAnswer made) {
-    response_.result(static_cast<unsigned>(made.status));
-    response_.set(http::field::content_type, made.content_type);
-    for (const auto& [name, value] : made.headers) response_.insert(name, value);
-    response_.content_length(made.body.size());
-    if (!head_) response_.body() = std::move(made.body);
-  }
-
-  void write_response() {
-    socket_stream().expires_after(answer_limit);
-    serializer_.emplace(response_);
-    serializer_->split(head_);
-    const auto done = [self = this->shared_from_this()](error_code error, std::size_t) {
+  /// In the version of the request; each version says the other of whether the connection stays open.
+  void write_answer(const HttpAnswer& made) {
+    const unsigned version = parser_->get().version();
+    answer_ = status_line(made.status, version);
+    if (keep_alive_ != (version >= 11)) answer_ += keep_alive_ ? "Connection: keep-alive\r\n" : "Connection: close\r\n";
+    answer_ += "Server: iotcloud\r\n";
+    if (!made.content_type.empty()) answer_ += fmt::format("Content-Type: {}\r\n", made.content_type);
+    for (const auto& [name, value] : made.headers) answer_ += fmt::format("{}: {}\r\n", name, value);
+    answer_ += fmt::format("Content-Length: {}\r\n\r\n", made.body.size());
+    if (!head_) answer_ += made.body;
+    line_.expires_after(answer_limit);
+    line_.write(asio::buffer(answer_), [self = shared_from_this()](error_code error, std::size_t) {
       if (error || !self->is_open()) return;
-      if (self->response_.keep_alive()) return self->read();
+      if (self->keep_alive_) return self->read();
       self->end();
-    };
-    if (head_) {
-      http::async_write_header(stream_, *serializer_, done);
-    } else {
-      http::async_write(stream_, *serializer_, done);
-    }
+    });
   }
 
   void end() {
-    if constexpr (secure) {
-      stream_.async_shutdown([self = this->shared_from_this()](error_code) {});
-    } else {
-      error_code ignored;
-      stream_.socket().shutdown(tcp::socket::shutdown_send, ignored);
-    }
+    if (line_.tls() != nullptr) return line_.say_goodbye([self = shared_from_this()](error_code, std::size_t) {});
+    error_code ignored;
+    line_.socket().shutdown(tcp::socket::shutdown_send, ignored);
   }
 
-  Stream stream_;
+  HttpLine line_;
   beast::flat_buffer buffer_;
   std::optional<http::request_parser<http::string_body>> parser_;
-  http::response<http::string_body> response_;
-  std::optional<http::response_serializer<http::string_body>> serializer_;
+  std::string answer_;  ///< that is being sent
   std::optional<security::TokenEntry> holder_;
   std::string shown_;                             ///< the header by which `holder_` was found
   config::Clock::Instant::duration page_took_{};  ///< of the present answer
-  asio::steady_timer turn_{stream_.get_executor()};
+  asio::steady_timer turn_{line_.socket().get_executor()};
+  bool keep_alive_ = false;                                ///< after the present answer the connection goes on
   bool head_ = false;                                      ///< of the present answer only the head is sent
   std::shared_ptr<StreamState> state_;                     ///< null: no stream has begun
   std::deque<std::shared_ptr<const std::string>> pieces_;  ///< that are still to be sent; the first is on its way
@@ -620,10 +585,7 @@ struct HttpServer::Impl {
 
   void serve(tcp::socket socket) {
     const auto tls = guard.tls().context();
-    if (!tls) return std::make_shared<HttpConnectionOver<PlainStream>>(shared, std::move(socket))->start();
-    SSL_CTX_up_ref(tls->get());
-    asio::ssl::context context(tls->get());  // owns the reference
-    std::make_shared<HttpConnectionOver<TlsStream>>(shared, std::move(socket), context)->start();
+    std::make_shared<HttpConversation>(shared, std::move(socket), tls ? tls->get() : nullptr)->start();
   }
 
   /// Reads TLS files that were replaced, cuts readers whose certificate counts no longer, and looks again later.

@@ -52,7 +52,7 @@ THRIFT_FOR_MASTERS = re.compile(r"(gateway|topology/pool)/(\w+_types|T\w+Service
 HEAVY = {
     "CLI/": re.compile(r"_main\.cc$|^master/cli/|^config/daemon/daemon\.cc$|^tests/master/cli/cli_test\.cc$"),
     "boost/asio": None,
-    "boost/beast": re.compile(r"^rpc/http/http_(client|server)\.cc$|^drivers/http/http_end\.cc$"),
+    "boost/beast": re.compile(r"^rpc/http/http_(client|line|server)\.cc$|^drivers/http/http_end\.cc$"),
     "nlohmann/json.hpp": None,
     "spdlog/": re.compile(r"^config/log\.cc$"),
     "thrift/": None,
@@ -60,7 +60,8 @@ HEAVY = {
 # but for these, of which every source that includes them needs the library itself.
 HEAVY_HEADERS = {
     "boost/asio": ("drivers/turtle/robot/agent.h", "drivers/turtle/robot/session.h",
-                   "drivers/turtle/standalone/device_host.h"),
+                   "drivers/turtle/standalone/device_host.h", "rpc/http/http_line.h", "rpc/http/http_message.h"),
+    "boost/beast": ("rpc/http/http_message.h",),
     "nlohmann/json.hpp": ("discovery/description/json.h", "master/cli/topology/topology_pages.h",
                           "tests/master/cli/cli_fixture.h"),
     "thrift/": ("tests/fuzz/thrift_frames.h", "tests/rpc/service.h"),
