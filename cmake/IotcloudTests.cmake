@@ -97,7 +97,8 @@ endfunction()
 #   SANITIZERS: asan if it handles bytes or lifetimes of its own, tsan if it has threads. Both are the default of `unit` and
 #   `contract`; `SANITIZERS none` turns them off. ./dev test runs the test under tsan, or else under asan, and nowhere else,
 #   but for those that say OPTIMIZED, which run under all: they test what release compiles with -O3. With LATER it runs them
-#   in release, and --long under the sanitizers: those of a command line, which would be most of what they compile.
+#   in release, and --long under the sanitizers: those of command lines and of all plugins, for which ./dev test would compile
+#   much under the sanitizers that no other test needs.
 #   WHOLE words: its tests share servers that take seconds to start, so ctest runs the program once for each word, with
 #   the tests whose names contain the word. ctest starts the runs with the longest TIMEOUT first, so that none of them
 #   is left to run alone at the end. A word that names Kafka or ActiveMQ adds the label `java`.
