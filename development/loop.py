@@ -20,8 +20,8 @@ sys.path.insert(0, str(ROOT / "bench"))
 
 import figures  # noqa: E402
 
-ROOMS = ["config", "security", "rpc", "brokers", "discovery", "drivers", "processes", "gateway", "master", "topology",
-         "examples", "deploy"]
+ROOMS = ["config", "security", "rpc", "brokers", "discovery", "recording", "drivers", "processes", "gateway", "master",
+         "topology", "check", "examples", "deploy"]
 TESTED_BY = {"deploy": "containers"}  # the room of its unit tests, where it is another
 COMMENTS = {".cc": b"// changed\n", ".h": b"// changed\n", ".py": b"# changed\n"}
 HEADERS = ["config/error.h", "brokers/message.h"]
