@@ -272,7 +272,7 @@ class Calling : public std::enable_shared_from_this<Calling> {
     });
   }
 
-  void write() try {
+  void write() {
     limit();
     request_ = call_.method + " " + call_.target + " HTTP/1.1\r\nHost: " + call_.host + ":" + call_.port +
                "\r\nUser-Agent: iotcloud\r\nConnection: close\r\n";
@@ -285,8 +285,6 @@ class Calling : public std::enable_shared_from_this<Calling> {
       if (error) return self->fail("it took no request", error);
       self->read();
     });
-  } catch (const std::exception& e) {  // Beast takes no field of 64 KiB
-    fail(std::string("no request can be made: ") + e.what());
   }
 
   void read() {
