@@ -96,7 +96,7 @@ def numbers_of(messages):
 def check_kill(system):
     """What a killed recorder has not written, the next one of its group gets: nothing is lost."""
     first = system.record("killed.mcap", "--where", 'driver == "loadgen"', "--group", "judge")
-    system.deploy("loadgen.so", "gateway-1", {"rate": RATE, "size": 100})
+    system.deploy("loadgen.so", "gateway-1", {"rate": RATE, "size": SIZE})
     wait_for("some of it is in the file", lambda: system.info("killed.mcap")["messages"] > 100)
     system.end(first, signal.SIGKILL)
     killed = system.info("killed.mcap")
