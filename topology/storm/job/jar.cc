@@ -80,9 +80,14 @@ class Archive {
  private:
   void add(const std::string& name, zip_source_t* source) {
     if (source == nullptr) fail("written");
-    if (zip_file_add(archive_, name.c_str(), source, ZIP_FL_ENC_UTF_8 | ZIP_FL_OVERWRITE) >= 0) return;
-    zip_source_free(source);
-    fail("written");
+    const zip_int64_t entry = zip_file_add(archive_, name.c_str(), source, ZIP_FL_ENC_UTF_8 | ZIP_FL_OVERWRITE);
+    if (entry < 0) {
+      zip_source_free(source);
+      fail("written");
+    }
+    constexpr int fast = 1;  // a jar is made for each submission, and libraries are most of it
+    if (zip_set_file_compression(archive_, static_cast<zip_uint64_t>(entry), ZIP_CM_DEFLATE, fast) != 0)
+      fail("written");
   }
   std::string text_of(zip_uint64_t entry) const {
     zip_stat_t stat;
