@@ -17,6 +17,7 @@ import private_server
 
 HERE = os.path.dirname(os.path.abspath(__file__))
 FETCHED = os.path.join(HERE, "..", "..", "build", "servers")
+DEBIANS = {"zookeeper": "/usr/share/java/zookeeper.jar"}  # servers whose jars are Debian's: one of them
 LIMIT_S = 600
 # Maven's messages when the network or the registry fails, not the pom.
 UNREACHABLE = ("Could not transfer", "Unknown host", "Connection refused", "timed out", "Network is unreachable")
@@ -42,10 +43,11 @@ def fetch(name):
 
 
 def archive_of(name):
-    """Where share_classes.py keeps what it made with the Java that is installed; it goes with the jars. One of another Java
-    would be ignored."""
-    java = os.path.realpath(shutil.which("java") or "/")
-    return os.path.join(os.path.realpath(os.path.join(FETCHED, name)), "classes-%d.jsa" % os.stat(java).st_mtime)
+    """Where share_classes.py keeps what it made with the Java that is installed; it goes with the jars. One of another Java,
+    or of other jars of Debian, would be ignored."""
+    made_of = [os.path.realpath(shutil.which("java") or "/"), DEBIANS.get(name, "")]
+    times = ["%d" % os.stat(file).st_mtime for file in made_of if os.path.exists(file)]
+    return os.path.join(os.path.realpath(os.path.join(FETCHED, name)), "classes-%s.jsa" % "-".join(times))
 
 
 def shared_classes(name, jvm):

@@ -23,6 +23,7 @@ any number of connections (--setting maxClientCnxns=N: this number).
 import os
 import socket
 
+import maven_jars
 import private_server
 
 JARS = "/usr/share/java"
@@ -55,7 +56,8 @@ class ZooKeeper(private_server.Server):
         jars = [os.path.join(JARS, name + ".jar") for name in CLASS_PATH]
         if not os.path.exists(jars[0]):
             raise RuntimeError("%s is missing; install Debian's package zookeeper" % jars[0])
-        return ["java", *self.jvm, *private_server.SMALL_JVM, *private_server.JVM_OPTIONS,
+        jvm = [*self.jvm, *private_server.SMALL_JVM]
+        return ["java", *jvm, *private_server.JVM_OPTIONS, *maven_jars.shared_classes("zookeeper", jvm),
                 "-Dzookeeper.jmx.log4j.disable=true", "-Dzookeeper.forceSync=no",
                 "-Dzookeeper.preAllocSize=1024", "-cp", ":".join(jars),
                 "org.apache.zookeeper.server.quorum.QuorumPeerMain", self.config]
