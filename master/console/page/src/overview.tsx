@@ -88,7 +88,8 @@ export function Overview() {
   const alive = gateways.filter((gateway) => gateway.alive).length;
   const workers = topologies.reduce((sum, topology) => sum + topology.workers.length, 0);
   const faults: Fault[] = [];
-  const late: Fault[] = [];  // after those that do nothing at all
+  const late: Fault[] = [];     // after those that do nothing at all
+  const planned: Fault[] = [];  // what people ordered comes last
   if (!master.leading && !master.leader) faults.push({key: "leader", what: <b>No master leads</b>, why: "orders are refused until one is elected"});
   for (const gateway of gateways) {
     const own = {gateways: [gateway.gateway]};
@@ -111,7 +112,7 @@ export function Overview() {
       });
     }
     const {own: trouble, instances} = troubleOf(gateway);
-    if (trouble) faults.push({key: `trouble ${gateway.gateway}`, what: <>gateway <b>{gateway.gateway}</b></>, why: trouble});
+    if (trouble) late.push({key: `trouble ${gateway.gateway}`, what: <>gateway <b>{gateway.gateway}</b></>, why: trouble});
     for (const one of instances) late.push(instanceFault(gateway.gateway, one));
     if (gateway.frozen) {
       faults.push({
@@ -129,7 +130,7 @@ export function Overview() {
       });
     }
     if (gateway.draining) {
-      faults.push({
+      planned.push({
         key: `draining ${gateway.gateway}`, what: <>gateway <b>{gateway.gateway}</b> drains</>,
         why: "its instances are stopped, and it takes no new ones",
         buttons: mayAct() && <button type="button" onClick={() => void order(`Undrain ${gateway.gateway}`, "undrain", own)}>End draining</button>,
@@ -149,7 +150,7 @@ export function Overview() {
       }
     }
   }
-  faults.push(...state.faults.map(faultOf), ...late, ...(state.losses ?? []).map(lossFault));
+  faults.push(...state.faults.map(faultOf), ...late, ...(state.losses ?? []).map(lossFault), ...planned);
   const parts = states.map((name) => ({name, number: counts[name] ?? 0}));
   const last = points[points.length - 1];
   return (

@@ -168,11 +168,14 @@ export function Tap({query}: {query: URLSearchParams}) {
       <div class="search">
         <label>Instance <select value={pick} onChange={(event) => setPick(event.currentTarget.value)}>
           <option value="">choose ...</option>
+          {pick && !all.some(([key]) => key === pick) && <option value={pick}>{pick}</option>}
           {all.map(([key, row]) => <option key={key} value={key}>{nameOf(row)} ({row.driver}, {row.gateway})</option>)}</select></label>
         <label>Channel <select value={channel} disabled={!channels.length} onChange={(event) => {
           const row = rows.get(pick);
           if (row) location.hash = `#/tap?${new URLSearchParams({gateway: row.gateway, instance: row.instance, channel: event.currentTarget.value})}`;
-        }}><option value="">choose ...</option>{channels.map((name) => <option key={name}>{name}</option>)}</select></label>
+        }}><option value="">choose ...</option>
+          {channel && !channels.includes(channel) && <option>{channel}</option>}
+          {channels.map((name) => <option key={name}>{name}</option>)}</select></label>
         <label>or tuples of <select value={topology && component ? `${topology}/${component}` : ""} onChange={(event) => {
           const [name, ...rest] = event.currentTarget.value.split("/");
           if (name) location.hash = `#/tap?${new URLSearchParams({topology: name, component: rest.join("/")})}`;
