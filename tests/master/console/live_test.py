@@ -57,8 +57,14 @@ def main():
         cluster.cli("deploy", "loadgen.so", "--all", "--name", "meter", "--count", 3, "--property", "rate=20", "--metadata", "site=lab")
         cluster.topology("echo", echo_topology(bolts=2, more='metrics: {address: "127.0.0.1:0"}'))
 
-        master = cluster.json("status")["master"]
-        leader = (master["id"] if master["leading"] else master["leader"]).removeprefix("private-")
+        def leading():
+            """The name of the master that leads: one that does not knows its address."""
+            master = cluster.json("status")["master"]
+            address = master["address"] if master["leading"] else master["leader"]
+            return next((name for name in cluster.ports if address.endswith(f":{cluster.apis[name]}")), "")
+
+        wait_for("a master leads", leading)
+        leader = leading()
         other, = set(cluster.ports) - {leader}
 
         def do(words):
