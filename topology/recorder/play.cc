@@ -1,6 +1,9 @@
 #include <algorithm>
+#include <chrono>
 #include <filesystem>
+#include <limits>
 #include <set>
+#include <thread>
 #include <tuple>
 
 #include <fmt/format.h>
@@ -21,7 +24,7 @@ using recording::RecordedMessage;
 namespace {
 
 constexpr std::chrono::seconds for_room{60};
-constexpr std::chrono::seconds for_confirmations{20};  // of all channels together
+constexpr std::chrono::seconds for_confirmations{20};  // after the last one that came
 constexpr std::chrono::milliseconds look_again{50};
 
 std::string words(const RecordedChannel& channel) {
@@ -92,8 +95,10 @@ class Target {
     }
   }
 
-  void drain(std::chrono::milliseconds limit, PlayResult& result) {
-    const bool all = publisher_->drain(limit);
+  std::size_t pending() const { return publisher_->pending(); }
+
+  void add_outcomes(PlayResult& result) {
+    const bool all = publisher_->drain({});
     const config::MutexLock lock(mutex_);
     result.confirmed += confirmed_;
     for (const auto& [reason, count] : others_) result.others[reason] += count;
@@ -154,6 +159,7 @@ std::vector<bool> chosen_channels(const recording::RecordingReader& recording, c
       throw config::Error(fmt::format("no channel \"{}\" was recorded; there are: {}", word, fmt::join(names, ", ")));
   }
   std::vector<bool> chosen;
+  chosen.reserve(channels.size());
   const auto among = [](const std::vector<std::string>& list, const auto& fits) {
     return list.empty() || std::any_of(list.begin(), list.end(), fits);
   };
@@ -208,11 +214,18 @@ PlayResult play_into(System& system, recording::RecordingReader& recording, cons
         target_of[recorded.channel]->send(std::move(recorded.message), stop);
       },
       stop);
-  const auto end = std::chrono::steady_clock::now() + for_confirmations;
-  for (auto& [key, target] : targets) {
-    const auto rest = std::chrono::ceil<std::chrono::milliseconds>(end - std::chrono::steady_clock::now());
-    target->drain(std::max(rest, std::chrono::milliseconds{0}), result);
+  // A broker may have far to go: it has the time as long as it confirms some.
+  auto end = std::chrono::steady_clock::now() + for_confirmations;
+  for (auto before = std::numeric_limits<std::size_t>::max(); !stop.stop_requested();) {
+    std::size_t pending = 0;
+    for (const auto& [key, target] : targets) pending += target->pending();
+    const auto now = std::chrono::steady_clock::now();
+    if (pending < before) end = now + for_confirmations;
+    if (pending == 0 || now > end) break;
+    before = pending;
+    std::this_thread::sleep_for(look_again);
   }
+  for (auto& [key, target] : targets) target->add_outcomes(result);
   return result;
 }
 
