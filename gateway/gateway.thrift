@@ -30,6 +30,20 @@ struct TLogPart {
   2: string position
 }
 
+// What the drivers of one host process have carried since it began.
+struct TCarried {
+  // The process's name in the gateway's metrics.
+  1: string host
+  // So long ago the process told this, in milliseconds.
+  2: i64 ageMs
+  // Messages of drivers that a broker has confirmed, and messages that were handed to drivers.
+  3: i64 sent
+  4: i64 received
+  // Messages of drivers that were answered, by how long that took: the upper end of a range, in microseconds, and how
+  // many are in it.
+  5: map<double, i64> roundTrips
+}
+
 // A plugin that a client wants to send.
 struct TPluginOffer {
   // File name without a path.
@@ -78,6 +92,8 @@ service TSensorSiteService {
   // Hands the instance a message as if it had come on an incoming channel. Answers when the driver has handled it; the
   // answer's `problem` says why it has not.
   records.TChannelLook handMessage(1: records.THandedMessage message) throws (1: TSiteError error)
+  // How many messages the gateway's drivers have carried, and how soon their own were answered; of each driver host.
+  list<TCarried> getCarried() throws (1: TSiteError error)
   // The plugins that this gateway has, in its plugin folder and among those that were sent: 500 at most.
   list<records.TKnownPlugin> listPlugins() throws (1: TSiteError error)
   // Begins to send a plugin; its pieces must each fit into a message of 1 MB. The answer is the upload's id; empty: the

@@ -6,6 +6,7 @@
 #include <iotcloud/config/log.h>
 #include <iotcloud/discovery/description/wire.h>
 #include <iotcloud/gateway/host/plugin.h>
+#include <iotcloud/gateway/host/round_trips.h>
 #include <iotcloud/gateway/site_handler.h>
 #include <iotcloud/processes/log_reader.h>
 
@@ -192,6 +193,18 @@ void SiteHandler::handMessage(discovery::wire::TChannelLook& answer, const disco
   const auto look = gateway_.ask(question, answer_limit);
   session_->note(look.problem.empty() ? "done" : look.problem);
   discovery::fill_wire(look, answer);
+}
+
+void SiteHandler::getCarried(std::vector<wire::TCarried>& answer) {
+  for (const auto& carried : carried_messages(config::process_metrics().collect())) {
+    auto& told = answer.emplace_back();
+    told.__set_host(carried.host);
+    told.__set_ageMs(carried.age.count());
+    told.__set_sent(static_cast<std::int64_t>(carried.sent));
+    told.__set_received(static_cast<std::int64_t>(carried.received));
+    for (const auto& [end_us, count] : carried.round_trips)
+      told.roundTrips.emplace(end_us, static_cast<std::int64_t>(count));
+  }
 }
 
 void SiteHandler::listPlugins(std::vector<discovery::wire::TKnownPlugin>& answer) {

@@ -39,6 +39,7 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
                std::int32_t most_bytes) override;
   void lookAtChannel(discovery::wire::TChannelLook& answer, const discovery::wire::TLookRequest& request) override;
   void handMessage(discovery::wire::TChannelLook& answer, const discovery::wire::THandedMessage& message) override;
+  void getCarried(std::vector<wire::TCarried>& answer) override;
   void listPlugins(std::vector<discovery::wire::TKnownPlugin>& answer) override;
   void offerPlugin(std::string& upload, const wire::TPluginOffer& offer) override;
   void sendPlugin(const std::string& upload, std::int64_t offset, const std::string& bytes) override {

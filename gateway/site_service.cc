@@ -18,6 +18,7 @@ const rpc::MethodRules& SiteService::rules() {
       {"readLog", {Role::viewer, RefusalForm::error}},
       {"lookAtChannel", {Role::viewer, RefusalForm::error}},
       {"handMessage", {Role::operating, RefusalForm::error, true, true}},
+      {"getCarried", {Role::viewer, RefusalForm::error}},
       {"listPlugins", {Role::viewer, RefusalForm::error}},
       {"startSensor", {Role::operating, RefusalForm::response}},
       {"stopSensor", {Role::operating, RefusalForm::response}},

@@ -14,6 +14,7 @@
 #include <iotcloud/discovery/records.h>
 #include <iotcloud/discovery/registry_setting.h>
 #include <iotcloud/master/api/api_handler.h>
+#include <iotcloud/master/api/gateway_pages.h>
 #include <iotcloud/master/api/worker_pages.h>
 #include <iotcloud/master/console/api_calls.h>
 #include <iotcloud/master/console/console.h>
@@ -124,7 +125,7 @@ class MasterService final : public config::DaemonService {
                                             LibraryRelay::Options{.paths = options.paths, .access = access.pools});
     const auto served = serve_api(*master_, access);
     api_ = std::make_unique<rpc::ThriftServer>(server_options("api", config_.api), served);
-    if (!config_.console.pages.address.empty()) start_console(served, access.workers);
+    if (!config_.console.pages.address.empty()) start_console(served, access);
     if (original_) {
       original_->start([this] { return master_->status().leading; });
       gateways_ = std::make_unique<rpc::ThriftServer>(
@@ -159,13 +160,14 @@ class MasterService final : public config::DaemonService {
   ~MasterService() override { end(); }  // frees what start() made before it threw
 
  private:
-  void start_console(const rpc::ThriftService& served, const WorkerAccess& workers) {
+  void start_console(const rpc::ThriftService& served, const ApiAccess& access) {
     Live::Source source;
     source.status = [this] { return master_->status(); };
     source.drivers = [this] { return master_->drivers(); };
     source.gateways = [this] { return master_->gateways(); };
     source.topologies = [this] { return master_->topologies(); };
-    source.worker_page = [this, workers](const auto& topology, const auto& worker) {
+    source.carried = [this, gateways = access.gateways] { return read_carried(*master_, gateways, console_asks_); };
+    source.worker_page = [this, workers = access.workers](const auto& topology, const auto& worker) {
       return read_worker_page(*master_, workers, topology, worker, "/topology");
     };
     Console::Options options{.settings = config_.console,
@@ -203,6 +205,7 @@ class MasterService final : public config::DaemonService {
   std::unique_ptr<rpc::ThriftServer> gateways_;
   std::unique_ptr<rpc::MetricsEndpoint> metrics_;
   std::unique_ptr<ConsoleCalls> calls_;
+  GatewayAsks console_asks_;  ///< of the console, which ends first
   std::unique_ptr<Console> console_;
 };
 

@@ -1,11 +1,12 @@
 #include <iotcloud/gateway/fleet/host_metrics.h>
+#include <iotcloud/gateway/host/round_trips.h>
 
 namespace iotcloud::gateway {
 
 void HostMetrics::put(const std::string& host, int process, std::vector<config::Sample> samples) {
   for (auto& sample : samples) sample.labels["host"] = host;
   const config::MutexLock lock(mutex_);
-  hosts_[host] = {process, std::move(samples)};
+  hosts_[host] = {process, config::system_clock().now(), std::move(samples)};
 }
 
 void HostMetrics::forget(const std::string& host, int process) {
@@ -16,7 +17,16 @@ void HostMetrics::forget(const std::string& host, int process) {
 
 void HostMetrics::append(std::vector<config::Sample>& samples) const {
   const config::MutexLock lock(mutex_);
-  for (const auto& [host, told] : hosts_) samples.insert(samples.end(), told.samples.begin(), told.samples.end());
+  for (const auto& [host, told] : hosts_) {
+    samples.insert(samples.end(), told.samples.begin(), told.samples.end());
+    config::Sample age;
+    age.name = samples_age_metric;
+    age.help = "Age of the samples of a driver host";
+    age.labels = {{"host", host}};
+    age.kind = config::Sample::Kind::gauge;
+    age.value = std::chrono::duration<double>(config::system_clock().now() - told.at).count();
+    samples.push_back(std::move(age));
+  }
 }
 
 }  // namespace iotcloud::gateway

@@ -4,6 +4,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/config/clock.h>
 #include <iotcloud/config/metrics.h>
 #include <iotcloud/config/mutex.h>
 
@@ -18,12 +19,13 @@ class HostMetrics {
   void put(const std::string& host, int process, std::vector<config::Sample> samples);
   /// Removes the samples of a host that has ended.
   void forget(const std::string& host, int process);
-  /// Appends all samples; usable as a config::Metrics::Source.
+  /// Appends all samples, and for each host the age of its own; usable as a config::Metrics::Source.
   void append(std::vector<config::Sample>& samples) const;
 
  private:
   struct Told {
     int process = 0;
+    config::Clock::Instant at{};
     std::vector<config::Sample> samples;
   };
   mutable config::Mutex mutex_;

@@ -15,6 +15,7 @@
 #include <iotcloud/gateway/host/lease.h>
 #include <iotcloud/gateway/host/logger.h>
 #include <iotcloud/gateway/host/losses.h>
+#include <iotcloud/gateway/host/round_trips.h>
 
 namespace iotcloud::gateway {
 
@@ -57,6 +58,7 @@ struct DriverHost::Impl : std::enable_shared_from_this<DriverHost::Impl> {
     own_samples = environment->metrics->add_source([this](auto& samples) {
       show_brokers(samples);
       show_backlogs(samples);
+      append_round_trips(environment->round_trips, environment->plugin->name(), samples);
     });
   }
 

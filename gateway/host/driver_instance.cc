@@ -178,6 +178,10 @@ void DriverInstance::open_channels(const discovery::DriverName& driver) {
   std::vector<drivers::ChannelSpec> wanted;
   if (!call("channels", [&](std::string& error) { wanted = shell_->channels(properties_, error); })) return;
   const auto planned = plan_channels(environment_->gateway, driver, spec(), std::move(wanted));
+  const auto is_incoming = [](const PlannedChannel& channel) {
+    return channel.spec.direction == drivers::Direction::in;
+  };
+  if (std::any_of(planned.begin(), planned.end(), is_incoming)) round_trips_ = std::make_unique<RoundTrips>();
   uses_spools_ = std::any_of(planned.begin(), planned.end(), [](const PlannedChannel& channel) {
     return channel.spec.direction == drivers::Direction::out && channel.spec.when_full == drivers::WhenFull::spool;
   });
@@ -412,6 +416,8 @@ ChannelQueue::Handled DriverInstance::deliver(Incoming& incoming, drivers::Messa
                                               config::Clock::Instant since) {
   if (!running()) return ChannelQueue::Handled::not_taken;
   incoming.received.add();
+  if (const auto took = round_trips_->came(message.time_ms, environment_->clock->now()))
+    environment_->round_trips.record_ns(std::chrono::nanoseconds(*took).count());
   const auto key = ++incoming.delivered;
   const bool watched = incoming.looks->watched();
   if (watched) incoming.looks->saw(message, {key, environment_->clock->now(), since});
@@ -473,6 +479,7 @@ drivers::PublishStatus DriverInstance::publish(std::string_view channel, drivers
   message.driver_id = id_;
   message.gateway_id = environment_->gateway;
   if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();
+  if (round_trips_) round_trips_->sent(message.time_ms, environment_->clock->now());
   if (const auto status = channels_.publish(channel, message)) return *status;
   if (!running()) return drivers::PublishStatus::closed;  // close_now() has just taken the channels away
   std::vector<drivers::ChannelSpec> declared;

@@ -18,6 +18,7 @@
 #include <iotcloud/gateway/host/channel_queue.h>
 #include <iotcloud/gateway/host/host_environment.h>
 #include <iotcloud/gateway/host/open_channels.h>
+#include <iotcloud/gateway/host/round_trips.h>
 
 namespace iotcloud::gateway {
 
@@ -135,6 +136,8 @@ class DriverInstance final : public drivers::HostInterface, public std::enable_s
   bool metadata_waits_ IOTCLOUD_GUARDED_BY(mutex_) = false;  ///< report_metadata() is posted and has not run yet
 
   OpenChannels channels_;
+  /// Set before the driver is opened; null: the instance gets no messages, so nothing answers its own.
+  std::unique_ptr<RoundTrips> round_trips_;
 
   // Used on the event thread only.
   bool closed_ = false;

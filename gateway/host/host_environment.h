@@ -27,6 +27,7 @@ struct HostEnvironment {
   std::shared_ptr<const Plugin> plugin;
   const config::Clock* clock = nullptr;
   config::Metrics* metrics = nullptr;
+  config::Histogram round_trips;  ///< of all instances
   std::unique_ptr<brokers::BrokerPool> brokers;
   std::unique_ptr<SharedChannels> shared_channels;
   /// The thread on which publishers are drained and late messages are given up, so that event threads do not wait.

@@ -48,6 +48,11 @@ std::size_t bytes_of(const GatewayPlugin& known) {
          plugin.declaration.size();
 }
 
+std::size_t bytes_of(const CarriedByGateway& carried) {
+  using Range = std::pair<const double, std::uint64_t>;
+  return sizeof carried + carried.messages.host.size() + carried.messages.round_trips.size() * sizeof(Range);
+}
+
 /// What gateways answer to one question, as it comes. Thread safe.
 template <typename Item>
 class Gathered {
@@ -171,6 +176,24 @@ GatewayPlugins read_plugins(const Master& master, const GatewayAccess& access, G
                          [](const auto& a, const auto& b) { return a.gateway < b.gateway; });
       });
   return answer;
+}
+
+std::vector<CarriedByGateway> read_carried(const Master& master, const GatewayAccess& access, GatewayAsks& asks) {
+  std::vector<discovery::GatewayId> asked;
+  for (const auto& gateway : master.gateways()) {
+    if (gateway.alive && !gateway.original) asked.emplace_back(gateway.record.id);
+  }
+  if (asked.empty()) return {};
+  std::map<discovery::GatewayId, std::string> silent;  // they have no rate until they answer twice
+  return ask_gateways<CarriedByGateway>(
+      master, access, asks, asked, silent,
+      [](const SiteAddress& site, const discovery::GatewayId& gateway) {
+        std::vector<CarriedByGateway> of_hosts;
+        for (auto& messages : site_carried(site, gateway, answer_limit))
+          of_hosts.push_back({gateway, std::move(messages)});
+        return of_hosts;
+      },
+      [](std::vector<CarriedByGateway>&) {});
 }
 
 LogPart read_log(const Master& master, const GatewayAccess& access, const discovery::GatewayId& gateway,

@@ -28,6 +28,10 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
 GatewayPlugins read_plugins(const Master& master, const GatewayAccess& access, GatewayAsks& asks,
                             const std::vector<discovery::GatewayId>& gateways);
 
+/// What the driver hosts of the gateways that answer have carried, in no order. Gateways of the original, and those
+/// that are lost, are not asked; the others are asked at the same time. \throws config::Error when the registry is away
+std::vector<CarriedByGateway> read_carried(const Master& master, const GatewayAccess& access, GatewayAsks& asks);
+
 /// A part of the log of an instance's driver host. \param position from an earlier part, which this one continues;
 /// empty: the end of the log.
 /// \throws config::Error when the log cannot be read, with the reason.

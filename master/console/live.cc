@@ -3,6 +3,7 @@
 #include <cmath>
 #include <set>
 
+#include <fmt/format.h>
 #include <nlohmann/json.hpp>
 
 #include <iotcloud/config/error.h>
@@ -61,6 +62,24 @@ double quantile(const std::map<double, std::uint64_t>& buckets, double q) {
   return 0;
 }
 
+/// Adds to `growth` by how much the buckets have grown.
+void add_growth(const std::map<double, std::uint64_t>& before, const std::map<double, std::uint64_t>& now,
+                std::map<double, std::uint64_t>& growth) {
+  for (const auto& [end, count] : now) {
+    const auto then = before.find(end);
+    const auto former = then == before.end() ? 0 : then->second;
+    if (count > former) growth[end] += count - former;
+  }
+}
+
+std::optional<double> p99_of(const std::map<double, std::uint64_t>& buckets) {
+  return buckets.empty() ? std::nullopt : std::optional(quantile(buckets, 0.99));
+}
+
+Json number_or_null(std::optional<double> number) {
+  return number ? Json(*number) : Json();
+}
+
 std::uint64_t number_in(const Json& from, const char* key) {
   const auto found = from.find(key);
   return found != from.end() && found->is_number_unsigned() ? found->get<std::uint64_t>() : 0;
@@ -73,13 +92,12 @@ Live::Live(Source source, Options options, const config::Clock& clock)
       options_(options),
       clock_(clock),
       looks_([this](const std::stop_token& stop) { look_on(stop); }),
-      pages_([this](const std::stop_token& stop) { read_pages_on(stop); }) {}
+      pages_([this](const std::stop_token& stop) { read_pages_on(stop); }),
+      messages_counter_([this](const std::stop_token& stop) { count_messages_on(stop); }) {}
 
 Live::~Live() {
-  looks_.request_stop();
-  pages_.request_stop();
-  looks_.join();
-  pages_.join();
+  for (auto* thread : {&looks_, &pages_, &messages_counter_}) thread->request_stop();
+  for (auto* thread : {&looks_, &pages_, &messages_counter_}) thread->join();
 }
 
 void Live::follow(std::shared_ptr<rpc::HttpStream> stream, Wanted wanted, std::function<bool()> may) {
@@ -290,10 +308,8 @@ void Live::read_pages_on(const std::stop_token& stop) {
       if (stop.stop_requested()) return;
       for (auto& follower : followers_) {
         if (!std::exchange(follower.series_fresh, false) || !follower.stream) continue;
-        Json points = Json::array();
-        for (const auto& point : points_)
-          points.push_back({point.time_ms, point.per_second, point.p99_us ? Json(*point.p99_us) : Json()});
-        send(follower, event("series", discovery::to_text(Json{{"reset", true}, {"points", std::move(points)}})));
+        send_points(follower, tuples_);
+        send_points(follower, messages_);
       }
       seen = std::any_of(followers_.begin(), followers_.end(), sees_one);
     }
@@ -323,7 +339,7 @@ void Live::read_pages(bool sample) {
   if (!sample) return;
   remember(now);
   note_losses(now);
-  add_point(now);
+  count_tuples(now);
 }
 
 Live::Counted Live::show(const discovery::TopologyStatus& topology, bool wanted) {
@@ -430,37 +446,76 @@ Json Live::losses() const {
   return all;
 }
 
-void Live::add_point(const std::map<std::string, Counted>& now) {
+void Live::count_tuples(const std::map<std::string, Counted>& now) {
   const auto at = clock_.now();
   const auto seconds = std::chrono::duration<double>(at - counted_at_).count();
   const bool first = counted_at_ == config::Clock::Instant{};
   counted_at_ = at;
-  Point point{clock_.wall_ms(), 0, std::nullopt};
+  double emitted = 0;
   std::map<double, std::uint64_t> complete;
   for (const auto& [topology, counted] : now) {
     const auto before = counted_.find(topology);
     if (before == counted_.end() || counted.emitted < before->second.emitted) continue;  // it is new, or began again
-    point.per_second += static_cast<double>(counted.emitted - before->second.emitted) / seconds;
-    for (const auto& [end, count] : counted.complete) {
-      const auto then = before->second.complete.find(end);
-      const auto former = then == before->second.complete.end() ? 0 : then->second;
-      if (count > former) complete[end] += count - former;
-    }
+    emitted += static_cast<double>(counted.emitted - before->second.emitted);
+    add_growth(before->second.complete, counted.complete, complete);
   }
   counted_ = now;
   if (first) return;
-  if (!complete.empty()) point.p99_us = quantile(complete, 0.99);
   const config::MutexLock lock(mutex_);
-  points_.push_back(point);
-  if (points_.size() > options_.points) points_.pop_front();
-  const auto text = event(
-      "series",
-      discovery::to_text(Json{{"reset", false},
-                              {"points", Json::array({Json::array({point.time_ms, point.per_second,
-                                                                   point.p99_us ? Json(*point.p99_us) : Json()})})}}));
+  add_point(tuples_, {clock_.wall_ms(), emitted / seconds, number_or_null(p99_of(complete))});
+}
+
+void Live::count_messages_on(const std::stop_token& stop) {
+  Carried before;
+  while (!stop.stop_requested()) {
+    const auto next = clock_.now() + options_.sample;
+    Carried now;
+    try {
+      for (auto& carried : source_.carried()) {
+        const Key key{carried.gateway, carried.messages.host};
+        const auto at = clock_.now() - carried.messages.age;
+        now[key] = {std::move(carried.messages), at};
+      }
+    } catch (const config::Error&) {
+      // the registry is away; the look says so
+    }
+    if (!before.empty()) count_messages(before, now);
+    before = std::move(now);
+    const config::MutexLock lock(mutex_);
+    changed_.wait_for(mutex_, stop, std::max(next - clock_.now(), config::Clock::Instant::duration::zero()),
+                      [] { return false; });
+  }
+}
+
+void Live::count_messages(const Carried& before, const Carried& now) {
+  double sent = 0, received = 0;
+  std::map<double, std::uint64_t> round_trips;
+  for (const auto& [host, carried] : now) {
+    const auto found = before.find(host);
+    if (found == before.end()) continue;
+    const auto& then = found->second.messages;
+    const auto& messages = carried.messages;
+    const auto seconds = std::chrono::duration<double>(carried.at - found->second.at).count();
+    if (messages.sent < then.sent || messages.received < then.received || seconds <= 0) continue;  // it began again
+    sent += static_cast<double>(messages.sent - then.sent) / seconds;
+    received += static_cast<double>(messages.received - then.received) / seconds;
+    add_growth(then.round_trips, messages.round_trips, round_trips);
+  }
+  const config::MutexLock lock(mutex_);
+  add_point(messages_, {clock_.wall_ms(), sent, received, number_or_null(p99_of(round_trips))});
+}
+
+void Live::add_point(Series& series, const nlohmann::ordered_json& point) {
+  series.points.push_back(discovery::to_text(point));
+  if (series.points.size() > options_.points) series.points.pop_front();
+  const auto text = event(series.event, R"({"reset":false,"points":[)" + series.points.back() + "]}");
   for (auto& follower : followers_) {
     if (follower.stream && !follower.series_fresh) send(follower, text);
   }
+}
+
+void Live::send_points(Follower& follower, const Series& series) {
+  send(follower, event(series.event, fmt::format(R"({{"reset":true,"points":[{}]}})", fmt::join(series.points, ","))));
 }
 
 }  // namespace iotcloud::master

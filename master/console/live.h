@@ -28,14 +28,16 @@ namespace iotcloud::master {
 
 /// Tells the console's open pages what changes, by Server-Sent Events. It looks at the fleet once for all of them, and
 /// not at all while nobody does; only the figures of the last hour are taken all the time, from the pages of
-/// topologies' workers. Thread safe.
+/// topologies' workers and from gateways. Thread safe.
 ///
 /// Events: `state` (the master, gateways, topologies, counts of instances and what is wrong with them: when one of them
 /// has changed), `rows` ({"reset", "set": [instance...], "gone": [{"gateway", "instance"}...]}: what has changed of the
-/// instances that the page has selected), `series` (points of the last hour, then each new one), `topology` (the pages
-/// of its workers, every two seconds, and `former`: what its components had counted some time ago), `over` (the session
-/// has ended). `losses` of `state`: the topologies' components that lost tuples of late ({"topology", "component",
-/// "since_ms", "counts": {"late", "timed_out", "failed", "errors"}}).
+/// instances that the page has selected), `series` (points of the last hour, then each new one: [time in ms, tuples a
+/// second of all spouts, 99 % of their trees are done within so many us]), `messages` (the same of drivers: [time in
+/// ms, messages a second from them, to them, 99 % of the answers to theirs came within so many us]), `topology` (the
+/// pages of its workers, every two seconds, and `former`: what its components had counted some time ago), `over` (the
+/// session has ended). `losses` of `state`: the topologies' components that lost tuples of late ({"topology",
+/// "component", "since_ms", "counts": {"late", "timed_out", "failed", "errors"}}).
 class Live {
  public:
   /// What it looks at. Each call may block and throw config::Error. They outlive this.
@@ -44,6 +46,8 @@ class Live {
     std::function<std::vector<discovery::DriverRecord>()> drivers;
     std::function<std::vector<discovery::GatewayStatus>()> gateways;
     std::function<std::vector<discovery::TopologyStatus>()> topologies;
+    /// What each driver host has carried since it began; hosts whose gateway does not answer are left out.
+    std::function<std::vector<CarriedByGateway>()> carried;
     /// The page /topology of a worker.
     std::function<std::string(const discovery::TopologyName&, const std::string& worker)> worker_page;
   };
@@ -97,10 +101,10 @@ class Live {
     config::Clock::Instant told;   ///< when something was sent last
     config::Clock::Instant asked;  ///< when `may` was asked last
   };
-  struct Point {
-    std::int64_t time_ms = 0;
-    double per_second = 0;         ///< tuples that all spouts emitted
-    std::optional<double> p99_us;  ///< from emit to the ack of the whole tree, since the last point; nullopt: no tuple
+  /// Points of the last hour.
+  struct Series {
+    const char* event;
+    std::deque<std::string> points{};  ///< JSON, the oldest first
   };
   /// Names and numbers of what a component's tasks count.
   using Counts = std::map<std::string, std::uint64_t>;
@@ -115,6 +119,12 @@ class Live {
     std::map<double, std::uint64_t> complete;  ///< by the buckets' upper ends, in microseconds
     Components components;
   };
+  /// What a driver host had carried at some time.
+  struct CarriedThen {
+    discovery::CarriedMessages messages;
+    config::Clock::Instant at;
+  };
+  using Carried = std::map<Key, CarriedThen>;  ///< by gateway and host
   /// What a component lost since `since_ms`.
   struct Loss {
     Counts counts;
@@ -135,7 +145,11 @@ class Live {
   Counted show(const discovery::TopologyStatus& topology, bool wanted) IOTCLOUD_EXCLUDES(mutex_);
   void remember(const std::map<std::string, Counted>& now);
   nlohmann::ordered_json former(const discovery::TopologyName& topology) const;
-  void add_point(const std::map<std::string, Counted>& now) IOTCLOUD_EXCLUDES(mutex_);
+  void count_tuples(const std::map<std::string, Counted>& now) IOTCLOUD_EXCLUDES(mutex_);
+  void count_messages_on(const std::stop_token& stop);
+  void count_messages(const Carried& before, const Carried& now) IOTCLOUD_EXCLUDES(mutex_);
+  void add_point(Series& series, const nlohmann::ordered_json& point) IOTCLOUD_REQUIRES(mutex_);
+  void send_points(Follower& follower, const Series& series) IOTCLOUD_REQUIRES(mutex_);
   void note_losses(const std::map<std::string, Counted>& now) IOTCLOUD_EXCLUDES(mutex_);
   nlohmann::ordered_json losses() const IOTCLOUD_REQUIRES(mutex_);
 
@@ -148,7 +162,8 @@ class Live {
   std::map<Key, Row> rows_ IOTCLOUD_GUARDED_BY(mutex_);
   Text state_ IOTCLOUD_GUARDED_BY(mutex_);  ///< the event that was sent last
   bool looked_ IOTCLOUD_GUARDED_BY(mutex_) = false;
-  std::deque<Point> points_ IOTCLOUD_GUARDED_BY(mutex_);
+  Series tuples_ IOTCLOUD_GUARDED_BY(mutex_){"series"};
+  Series messages_ IOTCLOUD_GUARDED_BY(mutex_){"messages"};
   Losses losses_ IOTCLOUD_GUARDED_BY(mutex_);
   // Used by the thread that reads pages.
   std::map<std::string, Counted> counted_;
@@ -158,7 +173,7 @@ class Live {
   std::vector<discovery::GatewayStatus> gateways_;
   std::vector<discovery::TopologyStatus> topologies_;
   MasterStatus master_;
-  std::jthread looks_, pages_;
+  std::jthread looks_, pages_, messages_counter_;
 };
 
 }  // namespace iotcloud::master

@@ -13,6 +13,8 @@
 
 IOTCLOUD_PAGE_FILE(html, "index.html")
 IOTCLOUD_PAGE_FILE(js, "console.js")
+IOTCLOUD_PAGE_FILE(plot, "plot.js")
+IOTCLOUD_PAGE_FILE(layout, "layout.js")
 IOTCLOUD_PAGE_FILE(css, "console.css")
 IOTCLOUD_PAGE_FILE(icon, "icon.svg")
 IOTCLOUD_PAGE_FILE(land, "land.json")
@@ -32,6 +34,8 @@ const PageFile* find_page_file(const std::string& path) {
   static const std::map<std::string, PageFile> files{
       {"/", file_between(iotcloud_page_html, iotcloud_page_html_end, "text/html; charset=utf-8")},
       {"/console.js", file_between(iotcloud_page_js, iotcloud_page_js_end, "text/javascript; charset=utf-8")},
+      {"/plot.js", file_between(iotcloud_page_plot, iotcloud_page_plot_end, "text/javascript; charset=utf-8")},
+      {"/layout.js", file_between(iotcloud_page_layout, iotcloud_page_layout_end, "text/javascript; charset=utf-8")},
       {"/console.css", file_between(iotcloud_page_css, iotcloud_page_css_end, "text/css; charset=utf-8")},
       {"/icon.svg", file_between(iotcloud_page_icon, iotcloud_page_icon_end, "image/svg+xml")},
       {"/land.json", file_between(iotcloud_page_land, iotcloud_page_land_end, "application/json")},

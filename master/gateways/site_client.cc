@@ -180,6 +180,24 @@ std::vector<GatewayPlugin> site_plugins(const SiteAddress& site, const discovery
   return plugins;
 }
 
+std::vector<discovery::CarriedMessages> site_carried(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                                     std::chrono::milliseconds limit) {
+  std::vector<gateway::wire::TCarried> told;
+  put(site, gateway, limit, [&](auto& client) { client.getCarried(told); });
+  std::vector<discovery::CarriedMessages> all;
+  all.reserve(told.size());
+  for (const auto& one : told) {
+    auto& carried = all.emplace_back();
+    carried.host = one.host;
+    carried.age = std::chrono::milliseconds(one.ageMs);
+    carried.sent = static_cast<std::uint64_t>(one.sent);
+    carried.received = static_cast<std::uint64_t>(one.received);
+    for (const auto& [end_us, count] : one.roundTrips)
+      carried.round_trips.emplace(end_us, static_cast<std::uint64_t>(count));
+  }
+  return all;
+}
+
 LogPart site_read_log(const SiteAddress& site, const discovery::GatewayId& gateway,
                       const discovery::InstanceId& instance, const std::string& position, std::int32_t most_bytes,
                       std::chrono::milliseconds limit) {

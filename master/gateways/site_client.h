@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/discovery/carried_messages.h>
 #include <iotcloud/discovery/channel_look.h>
 #include <iotcloud/master/orders/answers.h>
 #include <iotcloud/security/tls.h>
@@ -42,6 +43,8 @@ std::vector<DriverChange> site_changes(const SiteAddress& site, const discovery:
                                        const discovery::InstanceId& instance, std::chrono::milliseconds limit);
 std::vector<GatewayPlugin> site_plugins(const SiteAddress& site, const discovery::GatewayId& gateway,
                                         std::chrono::milliseconds limit);
+std::vector<discovery::CarriedMessages> site_carried(const SiteAddress& site, const discovery::GatewayId& gateway,
+                                                     std::chrono::milliseconds limit);
 LogPart site_read_log(const SiteAddress& site, const discovery::GatewayId& gateway,
                       const discovery::InstanceId& instance, const std::string& position, std::int32_t most_bytes,
                       std::chrono::milliseconds limit);

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include <iotcloud/discovery/carried_messages.h>
 #include <iotcloud/discovery/directory.h>
 #include <iotcloud/discovery/known_plugin.h>
 #include <iotcloud/master/orders/orders.h>
@@ -75,6 +76,12 @@ struct GatewayPlugin {
   discovery::KnownPlugin plugin;
   static constexpr const char* what = "a plugin of a gateway";
   static constexpr auto fields = std::tuple{IOTCLOUD_FIELD(gateway, usual), IOTCLOUD_FIELD(plugin, usual)};
+};
+
+/// What a driver host of a gateway has carried.
+struct CarriedByGateway {
+  discovery::GatewayId gateway;
+  discovery::CarriedMessages messages;
 };
 
 /// The plugins of several gateways.

@@ -219,6 +219,13 @@ struct AnsweringSite : gateway::wire::TSensorSiteServiceNull {
     answer.__set_channels({channel});
     answer.__set_messages({message, message});
   }
+  void getCarried(std::vector<gateway::wire::TCarried>& answer) override {
+    gateway::wire::TCarried carried;
+    carried.__set_host("turtle.so");
+    carried.__set_sent(7);
+    carried.__set_roundTrips({{1048.576, 6}});
+    answer = {carried};
+  }
   void listPlugins(std::vector<discovery::wire::TKnownPlugin>& answer) override { answer = {known_plugin()}; }
   void offerPlugin(std::string&, const gateway::wire::TPluginOffer&) override {
     gateway::wire::TSiteError error;
@@ -327,6 +334,7 @@ SeedsOfTarget answer_seeds() {
   seeds["nimbus_info"] = of_nimbus('\x11', [](Nimbus& nimbus) { nimbus.send_getTopologyInfoByName("echo"); });
   seeds["nimbus_page"] =
       of_nimbus('\x12', [](Nimbus& nimbus) { nimbus.send_getTopologyPageInfo("echo-1", ":all-time", false); });
+  seeds["carried"] = of_site('\x13', [](Site& site) { site.send_getCarried(); });
   seeds["ping"] = of_site('\0', [](Site& site) { site.send_ping(); });
   seeds["changes"] = of_site('\1', [](Site& site) { site.send_getChanges("0a1b"); });
   seeds["log"] = of_site('\2', [](Site& site) { site.send_readLog("0a1b", "", 9); });

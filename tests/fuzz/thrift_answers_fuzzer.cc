@@ -113,6 +113,10 @@ const std::array calls = {
       topology::storm::idl::TopologyPageInfo page;
       Nimbus(to).getTopologyPageInfo(page, "echo-1", ":all-time", false);
     }),
+    std::function([](const Protocol& to) {
+      std::vector<gateway::wire::TCarried> carried;
+      Site(to).getCarried(carried);
+    }),
 };
 
 }  // namespace

@@ -58,8 +58,10 @@ class MessageSender {
   }
   ~MessageSender() { publisher_->drain(tests::patience); }
 
-  void send(const std::string& text, const std::string& instance) {
+  /// \param time_ms of the message that it answers; 0: it answers none
+  void send(const std::string& text, const std::string& instance, std::int64_t time_ms = 0) {
     brokers::Message message;
+    message.time_ms = time_ms;
     message.payload = brokers::Payload::copy(text);
     message.driver_id = instance;
     publisher_->publish(std::move(message));

@@ -13,6 +13,8 @@
 #include <unistd.h>
 
 #include "iotcloud/gateway/TSensorSiteService.h"
+#include <iotcloud/gateway/fleet/host_metrics.h>
+#include <iotcloud/gateway/host/round_trips.h>
 #include <iotcloud/gateway/site_service.h>
 #include <iotcloud/rpc/thrift_client.h>
 #include <iotcloud/security/tokens.h>
@@ -301,6 +303,27 @@ TEST_F(SiteServiceTest, AChannelIsLookedAtAndAMessageIsHandedToTheDriver) {
   request.__set_instance("nobody");
   client_->lookAtChannel(unknown, request);
   EXPECT_THAT(unknown.problem, HasSubstr("the gateway gw has no driver instance nobody"));
+}
+
+TEST_F(SiteServiceTest, WhatDriverHostsHaveCarriedIsTold) {
+  HostMetrics hosts;
+  const auto source = config::process_metrics().add_source([&](auto& samples) { hosts.append(samples); });
+  config::Sample received;
+  received.name = "iotcloud_driver_received_total";
+  received.value = 3;
+  std::vector<config::Sample> samples{received};
+  config::Histogram round_trips;
+  round_trips.record_ns(1'000'000, 2);
+  append_round_trips(round_trips, "probe", samples);
+  hosts.put("probe.so", 7, samples);
+  std::vector<wire::TCarried> told;
+  client_->getCarried(told);
+  std::erase_if(told, [](const auto& carried) { return carried.host.empty(); });  // of this process
+  ASSERT_EQ(told.size(), 1U);
+  EXPECT_EQ(told[0].host, "probe.so");
+  EXPECT_GE(told[0].ageMs, 0);
+  EXPECT_EQ(told[0].received, 3);
+  EXPECT_EQ(told[0].roundTrips, (std::map<double, std::int64_t>{{1048.576, 2}}));
 }
 
 TEST_F(SiteServiceTest, AMessageThatTheDriverFailsOnIsAnsweredSo) {

@@ -7,8 +7,10 @@
 
 #include <iotcloud/config/error.h>
 #include <iotcloud/config/exposure.h>
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/discovery/description/json.h>
 #include <iotcloud/gateway/gateway.h>
+#include <iotcloud/gateway/host/round_trips.h>
 #include <iotcloud/master/console/answers.h>
 #include <iotcloud/master/console/console.h>
 #include <iotcloud/rpc/http/http_address.h>
@@ -140,6 +142,12 @@ master::Live::Source source_of(LocalCluster& cluster) {
   source.drivers = [&] { return cluster.master().drivers(); };
   source.gateways = [&] { return cluster.master().gateways(); };
   source.topologies = [&] { return cluster.master().topologies(); };
+  source.carried = [] {
+    std::vector<master::CarriedByGateway> all;
+    for (auto& messages : gateway::carried_messages(config::process_metrics().collect()))
+      all.push_back({discovery::GatewayId(), std::move(messages)});  // those of this process count together
+    return all;
+  };
   source.worker_page = [&](const auto&, const std::string& name) {
     auto* const worker = cluster.worker(name);
     if (worker == nullptr) throw config::Error("it is in another process");

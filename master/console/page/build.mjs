@@ -11,7 +11,9 @@ await build({
   outdir: out,
   bundle: true,
   minify: true,
-  format: "iife",
+  format: "esm",
+  splitting: true,  // what import() names is loaded when it is needed
+  chunkNames: "[name]",
   target: ["chrome110", "firefox115", "safari16"],
   jsx: "automatic",
   jsxImportSource: "preact",

@@ -11,6 +11,7 @@
 
 #include <iotcloud/brokers/embedded/server.h>
 #include <iotcloud/gateway/host/driver_host.h>
+#include <iotcloud/gateway/host/round_trips.h>
 #include <iotcloud/gateway/host/shared_channels.h>
 #include <iotcloud/tests/captured_log.h>
 #include <iotcloud/tests/config/hand_clock.h>
@@ -292,6 +293,23 @@ TEST_F(DriverHostTest, AMessageOnAnExclusiveChannelReachesItsInstance) {
   const auto echo = reader.next();
   ASSERT_TRUE(echo);
   EXPECT_EQ(echo->payload.text(), "hello");
+}
+
+TEST_F(DriverHostTest, TheAnswerToAMessageIsTimed) {
+  start_host(probe_);
+  host_->create(spec("a"));
+  MessageLog reader(url_, {"probe", "gw.probe.a.readings", false});
+  const auto up = reader.next();
+  ASSERT_TRUE(up);
+  MessageSender sender(url_, {"probe", "gw.probe.a.control", false});
+  sender.send("an order", "a", up->time_ms - 1);
+  sender.send("the answer", "a", up->time_ms);
+  ASSERT_TRUE(reader.next() && reader.next());  // the probe sends on what it gets
+  const auto carried = carried_messages(metrics_.collect());
+  ASSERT_EQ(carried.size(), 1U);
+  EXPECT_EQ(carried[0].received, 2U);
+  ASSERT_EQ(carried[0].round_trips.size(), 1U);
+  EXPECT_EQ(carried[0].round_trips.begin()->second, 1U) << "of the answer alone";
 }
 
 TEST_F(DriverHostTest, AMessageOnASharedChannelReachesTheInstanceThatItNames) {

@@ -49,6 +49,10 @@ class Fleet {
     const config::MutexLock lock(mutex_);
     page_ = std::move(page);
   }
+  void set_carried(std::vector<CarriedByGateway> carried) {
+    const config::MutexLock lock(mutex_);
+    carried_ = std::move(carried);
+  }
   void lose_the_registry(bool away) {
     const config::MutexLock lock(mutex_);
     away_ = away;
@@ -85,6 +89,10 @@ class Fleet {
       topologies[0].workers[0].name = "w1";
       return topologies;
     };
+    source.carried = [this] {
+      const config::MutexLock lock(mutex_);
+      return carried_;
+    };
     source.worker_page = [this](const auto&, const auto&) {
       const config::MutexLock lock(mutex_);
       return page_;
@@ -98,6 +106,7 @@ class Fleet {
   std::string page_ IOTCLOUD_GUARDED_BY(mutex_) = R"({"tasks": [], "components": []})";
   bool away_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   int looks_ IOTCLOUD_GUARDED_BY(mutex_) = 0;
+  std::vector<CarriedByGateway> carried_ IOTCLOUD_GUARDED_BY(mutex_);
 };
 
 /// Stands in for the API.
@@ -328,6 +337,33 @@ TEST_F(ConsoleTest, TellsTuplesASecondAndTheirLatencyOfTheLastMoment) {
   do shown = next(live, "topology");
   while (shown.at("problems").empty());
   EXPECT_THAT(shown.at("problems")[0].at("problem").get<std::string>(), HasSubstr("in JSON"));
+}
+
+TEST_F(ConsoleTest, TellsWhatDriversCarriedASecondAndHowSoonTheyWereAnswered) {
+  const auto carried = [](const char* host, std::uint64_t sent, std::uint64_t received,
+                          std::map<double, std::uint64_t> round_trips) {
+    return CarriedByGateway{discovery::GatewayId("g1"), {host, 0ms, sent, received, std::move(round_trips)}};
+  };
+  fleet_.set_carried({carried("a", 1000, 500, {{2000.0, 500}}), carried("b", 70, 0, {})});
+  open();
+  RawClient live(host());
+  listen(live, "/api/live");
+  const auto moved = [&] {
+    Json point;
+    do {
+      const auto points = next(live, "messages").at("points");
+      if (!points.empty()) point = points.back();
+    } while (point.is_null() || point[1] == 0.0);
+    return point;
+  };
+  fleet_.set_carried({carried("a", 1400, 700, {{2000.0, 600}, {9000.0, 100}}), carried("b", 70, 0, {})});
+  auto point = moved();
+  EXPECT_DOUBLE_EQ(point[1].get<double>() / point[2].get<double>(), 2.0) << point;
+  EXPECT_EQ(point[3], 9000.0) << "of the new ones, not of all since the start";
+  fleet_.set_carried({carried("a", 3, 1, {{2000.0, 1}}), carried("b", 90, 0, {})});
+  point = moved();
+  EXPECT_EQ(point[2], 0.0) << "a host that began again counts from then on";
+  EXPECT_TRUE(point[3].is_null());
 }
 
 TEST_F(ConsoleTest, TellsAmongWhatIsWrongWhichComponentLosesTuplesUntilAWhileAfterTheLastOne) {

@@ -8,7 +8,8 @@ const {url, tokens} = options;
 /** Looks at each page; `name` of the pictures. */
 async function tour(page, name) {
   await page.goto(`${url}#/overview`);
-  await until("tuples pass", async () => /[1-9]/.test(await page.textContent(".series figcaption b")), 120_000);
+  await until("messages and tuples pass, and are timed", async () =>
+    (await page.locator(".series figcaption b").allTextContents()).every((text) => /[1-9]/.test(text)), 120_000);
   await page.waitForSelector(".series canvas");
   await picture(page, `overview-${name}`);
   await accessibility(page, `the overview, ${name}`);

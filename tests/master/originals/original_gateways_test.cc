@@ -101,6 +101,7 @@ class OriginalGateway final : public gateway::wire::TSensorSiteServiceIf {
   void authenticate(TResponse&, const std::string&) override {}
   void ping(gateway::wire::TPing&) override {}
   void getChanges(std::vector<gateway::wire::TStateChange>&, const std::string&) override {}
+  void getCarried(std::vector<gateway::wire::TCarried>&) override {}
   void listPlugins(std::vector<discovery::wire::TKnownPlugin>&) override {}
   void readLog(gateway::wire::TLogPart&, const std::string&, const std::string&, std::int32_t) override {}
   void lookAtChannel(discovery::wire::TChannelLook&, const discovery::wire::TLookRequest&) override {}

@@ -4,6 +4,8 @@ import {get, type Me, type Row, type State, type TopologyPages} from "./api";
 
 /** A point of the last hour: time in ms, tuples a second, p99 in us. */
 export type Point = [number, number, number | null];
+/** And one of drivers: time in ms, messages a second from them, to them, p99 of their round trips in us. */
+export type MessagesPoint = [number, number, number, number | null];
 
 export interface Wanted {
   rows: boolean;
@@ -17,6 +19,7 @@ export interface Known {
   rows: Map<string, Row>;
   rowsComplete: boolean;
   points: Point[];
+  messages: MessagesPoint[];
   topology: TopologyPages | null;
   formerTopology: TopologyPages | null;
   connected: boolean;
@@ -26,7 +29,7 @@ export interface Known {
 }
 
 export const known: Known = {
-  me: null, state: null, rows: new Map(), rowsComplete: false, points: [], topology: null, formerTopology: null,
+  me: null, state: null, rows: new Map(), rowsComplete: false, points: [], messages: [], topology: null, formerTopology: null,
   connected: false, silentSince: Date.now(), rowsVersion: 0,
 };
 
@@ -100,9 +103,9 @@ function open(): void {
     known.rowsComplete = true;
     known.rowsVersion++;
   });
-  on("series", (data: {reset: boolean; points: Point[]}) => {
-    known.points = data.reset ? data.points : [...known.points, ...data.points].slice(-360);
-  });
+  const together = <T,>(former: T[], data: {reset: boolean; points: T[]}): T[] => (data.reset ? data.points : [...former, ...data.points].slice(-360));
+  on("series", (data: {reset: boolean; points: Point[]}) => { known.points = together(known.points, data); });
+  on("messages", (data: {reset: boolean; points: MessagesPoint[]}) => { known.messages = together(known.messages, data); });
   on("topology", (data: TopologyPages) => {
     known.formerTopology = known.topology;
     known.topology = data;

@@ -1,6 +1,6 @@
 // The console: its frame, its pages, the log-in.
 import {render} from "preact";
-import {useEffect, useRef, useState} from "preact/hooks";
+import {useEffect, useLayoutEffect, useRef, useState} from "preact/hooks";
 import {logIn, logOut, Refused} from "./api";
 import {Fleet} from "./fleet";
 import {History} from "./history";
@@ -118,7 +118,7 @@ function Console() {
   const topology = page === "topology" ? at.path[1] ?? "" : "";
   const where = page === "fleet" ? at.query.get("where") ?? "" : "";
   const rows = page === "fleet" || page === "tap" || page === "way" || page === "instance" || page === "history";
-  useEffect(() => {
+  useLayoutEffect(() => {  // before anything is painted, so that the stream begins at once
     if (me && me.role !== "anyone" && page !== "robot") want({rows, where, topology});
     document.title = `${links.find(([name]) => name === page)?.[1] ?? at.path[at.path.length - 1] ?? "Overview"} · IoTCloud`;
   }, [me?.role, rows, where, topology, page]);

@@ -82,7 +82,7 @@ function lossFault(loss: Loss): Fault {
 }
 
 export function Overview() {
-  const {state, points} = useKnown();
+  const {state, points, messages} = useKnown();
   if (!state) return <Empty>The master is looking at the fleet ...</Empty>;
   const {master, gateways, topologies, counts} = state;
   const alive = gateways.filter((gateway) => gateway.alive).length;
@@ -152,7 +152,7 @@ export function Overview() {
   }
   faults.push(...state.faults.map(faultOf), ...late, ...(state.losses ?? []).map(lossFault), ...planned);
   const parts = states.map((name) => ({name, number: counts[name] ?? 0}));
-  const last = points[points.length - 1];
+  const last = points[points.length - 1], carried = messages[messages.length - 1];
   return (
     <>
       <h1>Overview</h1>
@@ -164,6 +164,10 @@ export function Overview() {
         <Tile name="Instances" value={count(state.instances)} bad={!!state.number_of_faults} href="#/fleet"
               more={parts.filter((part) => part.number).map((part) => `${part.number} ${part.name}`).join(", ") || "none"} />
         <Tile name="Topologies" value={topologies.length} more={plural(workers, "worker")} href="#/topology" />
+        <Tile name="Messages from drivers" value={carried ? `${count(carried[1])}/s` : "-"}
+              more={carried ? `${count(carried[2])}/s to them` : "the gateways are being asked"} />
+        <Tile name="Round trip" value={carried?.[3] != null ? duration(carried[3]) : "-"}
+              more={carried?.[3] != null ? "99 % of drivers' messages are answered within" : "no driver is answered now"} />
         <Tile name="Tuples from spouts" value={last ? `${count(last[1])}/s` : "-"}
               more={last?.[2] != null ? `99 % are done within ${duration(last[2])}` : "no topology reads now"} />
       </div>
@@ -185,6 +189,12 @@ export function Overview() {
         )}
       </Panel>
       <div class="two">
+        <Panel title="Messages a second">
+          <Series points={messages} at={1} label="From all drivers" write={(value) => `${count(value)}/s`} />
+        </Panel>
+        <Panel title="From a driver and back to it">
+          <Series points={messages} at={3} label="99 % below" write={duration} />
+        </Panel>
         <Panel title="Tuples a second">
           <Series points={points} at={1} label="From all spouts" write={(value) => `${count(value)}/s`} />
         </Panel>

@@ -1,9 +1,9 @@
 // Parts that several pages are made of.
 import type {ComponentChildren} from "preact";
 import {useEffect, useLayoutEffect, useRef, useState} from "preact/hooks";
-import uPlot from "uplot";
+import type uPlot from "uplot";
 import {call, type Latency, type Outcome, Refused} from "./api";
-import {known, subscribe, type Point} from "./live";
+import {known, subscribe} from "./live";
 import {count, duration} from "./words";
 
 /** Draws again when something is told; at once after the first drawing (no effect after it), so that nothing is told before. */
@@ -142,16 +142,44 @@ export function Notices() {
   );
 }
 
+// ---- parts of the page that are loaded when they are needed
+
+interface Part<T> {
+  load: () => Promise<{default: T}>;
+  loaded: T | null;
+}
+
+/** \returns null: it has not come yet */
+export function useLoaded<T>(part: Part<T>): T | null {
+  const [, draw] = useState(0);
+  useEffect(() => {
+    if (part.loaded) return;
+    let ended = false, again = 0;
+    const load = (): void => {
+      part.load().then((module) => {
+        part.loaded = module.default;
+        if (!ended) draw((n) => n + 1);
+      }, () => { if (!ended) again = window.setTimeout(load, 2000); });  // the master is away; the frame says so
+    };
+    load();
+    return () => { ended = true; clearTimeout(again); };
+  }, [part]);
+  return part.loaded;
+}
+
 // ---- pictures
+
+const plots: Part<typeof uPlot> = {load: () => import("./plot"), loaded: null};
 
 function cssColour(name: string): string {
   return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 }
 
-/** A time series of the last hour. */
+/** A time series of the last hour. \param at which number of a point, after its time in ms */
 export function Series({points, at, label, write}: {
-  points: Point[]; at: 1 | 2; label: string; write: (value: number) => string;
+  points: [number, ...(number | null)[]][]; at: number; label: string; write: (value: number) => string;
 }) {
+  const Plot = useLoaded(plots);
   const box = useRef<HTMLDivElement>(null);
   const plot = useRef<uPlot | null>(null);
   const [theme, setTheme] = useState(0);
@@ -161,10 +189,11 @@ export function Series({points, at, label, write}: {
     return () => window.removeEventListener("themechange", again);
   }, []);
   useLayoutEffect(() => {
+    if (!Plot) return;
     const element = box.current!;
     const axis = {stroke: cssColour("--quiet"), grid: {stroke: cssColour("--line"), width: 1}, ticks: {show: false},
                   font: "11px system-ui"};
-    const made = new uPlot({
+    const made = new Plot({
       width: element.clientWidth || 300, height: 150, legend: {show: false}, cursor: {y: false},
       scales: {x: {time: true}, y: {range: (_, __, max) => [0, max > 0 ? max * 1.1 : 1]}},
       axes: [{...axis}, {...axis, size: 62, values: (_, splits) => splits.map(write)}],
@@ -174,12 +203,11 @@ export function Series({points, at, label, write}: {
     const watch = new ResizeObserver(() => made.setSize({width: element.clientWidth, height: 150}));
     watch.observe(element);
     return () => { watch.disconnect(); made.destroy(); plot.current = null; };
-  }, [theme]);
+  }, [theme, Plot]);
   useEffect(() => {
-    const values = points.map((point) => point[at]);
-    plot.current?.setData([points.map((point) => point[0] / 1000), values]);
+    plot.current?.setData([points.map((point) => point[0] / 1000), points.map((point) => point[at] ?? null)]);
   });
-  const now = points.length ? points[points.length - 1]![at] : null;
+  const now = points[points.length - 1]?.[at] ?? null;
   return (
     <figure class="series">
       <figcaption>{label} <b>{now === null ? "-" : write(now)}</b></figcaption>

@@ -1,9 +1,9 @@
 // Topologies: the graph as it runs, and every number of it.
-import dagre from "@dagrejs/dagre";
+import type dagre from "@dagrejs/dagre";
 import {useEffect, useMemo, useState} from "preact/hooks";
 import {call, Refused, type Task, type TopologyPages, type TopologyState} from "./api";
 import {useRepeated} from "./instance";
-import {act, confirm, Empty, mayAct, Panel, Spread, State, together, useKnown} from "./parts";
+import {act, confirm, Empty, mayAct, Panel, Spread, State, together, useKnown, useLoaded} from "./parts";
 import {age, bytes, count, duration, plural, time} from "./words";
 
 interface Component {
@@ -50,10 +50,14 @@ function componentsOf(now: TopologyPages, former: TopologyPages | null): Compone
 const heat = (capacity: number): string => (capacity >= 0.8 ? "hot" : capacity >= 0.5 ? "warm" : capacity > 0 ? "cool" : "idle");
 const rateText = (rate: number | null): string => (rate === null ? "-" : `${count(rate)}/s`);
 
+const layouts = {load: () => import("./layout"), loaded: null as typeof dagre | null};
+
 function Graph({components, chosen, choose}: {components: Component[]; chosen: string; choose: (id: string) => void}) {
   const shape = components.map((one) => one.id + one.inputs.map((input) => input.from + input.stream).join()).join("|");
+  const placing = useLoaded(layouts);
   const layout = useMemo(() => {
-    const graph = new dagre.graphlib.Graph({multigraph: true});
+    if (!placing) return null;
+    const graph = new placing.graphlib.Graph({multigraph: true});
     graph.setGraph({rankdir: "LR", nodesep: 28, ranksep: 110, marginx: 12, marginy: 12});
     graph.setDefaultEdgeLabel(() => ({}));
     for (const one of components) graph.setNode(one.id, {width: 178, height: 74});
@@ -62,9 +66,10 @@ function Graph({components, chosen, choose}: {components: Component[]; chosen: s
         if (components.some((other) => other.id === input.from)) graph.setEdge(input.from, one.id, {}, input.stream);
       }
     }
-    dagre.layout(graph);
+    placing.layout(graph);
     return graph;
-  }, [shape]);
+  }, [shape, placing]);
+  if (!layout) return <Empty>...</Empty>;
   const size = layout.graph() as {width?: number; height?: number};
   return (
     <div class="scroll">

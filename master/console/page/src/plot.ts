@@ -1,0 +1,2 @@
+// Plots of time series, loaded when the first figures are painted.
+export {default} from "uplot";
