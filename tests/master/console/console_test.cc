@@ -356,6 +356,8 @@ TEST_F(ConsoleTest, TellsWhatDriversCarriedASecondAndHowSoonTheyWereAnswered) {
     } while (point.is_null() || point[1] == 0.0);
     return point;
   };
+  while (next(live, "messages").at("points").empty()) {  // it has asked twice
+  }
   fleet_.set_carried({carried("a", 1400, 700, {{2000.0, 600}, {9000.0, 100}}), carried("b", 70, 0, {})});
   auto point = moved();
   EXPECT_DOUBLE_EQ(point[1].get<double>() / point[2].get<double>(), 2.0) << point;
