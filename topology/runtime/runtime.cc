@@ -47,6 +47,16 @@ TaskSnapshot Snapshot::component(const std::string& id) const {
       sum.streams[i].emitted += task.streams[i].emitted;
       sum.streams[i].transferred += task.streams[i].transferred;
     }
+    sum.inputs.resize(task.inputs.size());  // here, too
+    for (std::size_t i = 0; i < task.inputs.size(); ++i) {
+      const InputSnapshot& input = task.inputs[i];
+      sum.inputs[i].from = input.from;
+      sum.inputs[i].stream = input.stream;
+      sum.inputs[i].executed += input.executed;
+      sum.inputs[i].acked += input.acked;
+      sum.inputs[i].failed += input.failed;
+      sum.inputs[i].late += input.late;
+    }
     sum.executed += task.executed;
     sum.acked += task.acked;
     sum.failed += task.failed;

@@ -61,6 +61,13 @@ struct StreamSnapshot {
   std::uint64_t emitted = 0, transferred = 0;  ///< as in TaskSnapshot
 };
 
+/// What became of the tuples of one of several inputs of a bolt.
+struct InputSnapshot {
+  std::string from;  ///< the component that emits them
+  std::string stream;
+  std::uint64_t executed = 0, acked = 0, failed = 0, late = 0;  ///< as in TaskSnapshot
+};
+
 /// Counts of one task since its start, and its present state.
 struct TaskSnapshot {
   std::string component;
@@ -76,6 +83,7 @@ struct TaskSnapshot {
   std::uint64_t errors = 0;             ///< exceptions of user code, and errors that it reported
   std::uint64_t late = 0;               ///< bolts: tuples older than their deadline, not executed
   std::uint64_t superseded = 0;         ///< bolts: waiting tuples that a newer one replaced (keep_last)
+  std::vector<InputSnapshot> inputs;    ///< each input's executed, acked, failed and late; empty: it has one, or none
   std::size_t queue_depth = 0;          ///< bolts: tuples in the mailbox
   std::size_t pending = 0;              ///< spouts: trees under way
   double oldest_seconds = 0;  ///< spouts: since the oldest of them was emitted. Of a component: of all its tasks

@@ -107,8 +107,10 @@ void TaskGraph::make_tasks(const ComponentSpec& spec) {
       tasks_.push_back(std::move(task));
     } else {
       auto bolt = set_up(spec.id, "its factory", [&] { return spec.bolt(); });
+      std::vector<const detail::StreamInfo*> inputs;
+      for (const auto& input : context.inputs) inputs.push_back(&stream_infos_.at(input));
       auto task = std::make_unique<BoltTask>(environment_, executors_.at(spec.id), std::move(context), std::move(bolt),
-                                             input_policies_of(spec), &tick_stream_);
+                                             inputs, input_policies_of(spec), &tick_stream_);
       bolts_[static_cast<std::size_t>(task->id())] = task.get();
       tasks_.push_back(std::move(task));
     }

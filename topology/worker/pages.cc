@@ -50,11 +50,21 @@ Json to_json(const TaskSnapshot& task) {
   Json streams = Json::object();
   for (const StreamSnapshot& one : task.streams)
     streams[one.stream] = {{"emitted", one.emitted}, {"transferred", one.transferred}};
+  Json inputs = Json::array();
+  for (const InputSnapshot& one : task.inputs) {
+    inputs.push_back({{"from", one.from},
+                      {"stream", one.stream},
+                      {"executed", one.executed},
+                      {"acked", one.acked},
+                      {"failed", one.failed},
+                      {"late", one.late}});
+  }
   return {{"component", task.component},
           {"task", task.task_id},
           {"emitted", task.emitted},
           {"transferred", task.transferred},
           {"streams", streams},
+          {"inputs", inputs},
           {"executed", task.executed},
           {"acked", task.acked},
           {"failed", task.failed},

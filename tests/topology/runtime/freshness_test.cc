@@ -148,6 +148,21 @@ TEST(Deadline, TheShorterOneOfInputAndComponentCounts) {
   EXPECT_THAT(mild->numbers(), ElementsAre(1));
 }
 
+TEST(Deadline, EachOfSeveralInputsHasItsLateTuplesCounted) {
+  Line line;
+  line.builder.set_bolt("slow", slow_bolt(line.bench.clock, 60ms)).shuffle_grouping("in");
+  line.builder.set_bolt("out", sink_bolt(line.sink)).shuffle_grouping("in").shuffle_grouping("slow").deadline(50ms);
+  line.start();
+  for (int i = 1; i <= 3; ++i) line.put(i);
+  const auto out = line.runtime->snapshot().component("out");
+  ASSERT_EQ(out.inputs.size(), 2U);
+  EXPECT_EQ(out.inputs[0].late + out.inputs[1].late, out.late);
+  EXPECT_EQ(out.inputs[0].executed + out.inputs[1].executed, out.executed);
+  EXPECT_EQ(out.inputs[1].from, "slow");
+  EXPECT_EQ(out.inputs[1].late, 3U);
+  EXPECT_EQ(out.inputs[1].acked, 3U) << "they are acked all the same";
+}
+
 TEST(Deadline, CountsFromTheSpoutAlsoThroughABoltThatDoesNotAnchor) {
   Line line;
   line.builder

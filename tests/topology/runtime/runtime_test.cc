@@ -100,6 +100,46 @@ TEST(Runtime, CountsWhatIsEmittedToEachOfSeveralStreams) {
   EXPECT_THAT(snapshot.component("in").streams, IsEmpty()) << "it has one";
 }
 
+TEST(Runtime, CountsWhatABoltDidWithEachOfSeveralInputs) {
+  Bench bench;
+  auto source = std::make_shared<Source>();
+  std::vector<Tuple> kept;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt<Sorting>("sort").shuffle_grouping("in");
+  builder
+      .set_bolt("join", bolt([&](const Tuple& tuple, OutputCollector& collector, const TopologyContext&) {
+                  const auto number = tuple.get<std::int64_t>("value");
+                  if (number == 3) throw std::runtime_error("three");
+                  kept.push_back(tuple);
+                  if (number >= 90 && number < 99) return;  // 99 acks them, which comes last from each input
+                  for (const Tuple& one : std::exchange(kept, {})) collector.ack(one);
+                }))
+      .shuffle_grouping("in")
+      .shuffle_grouping("sort", "odd")
+      .all_grouping("sort", "tenth");
+  builder.set_bolt("even", sink_bolt(std::make_shared<Sink>()))
+      .shuffle_grouping("sort")
+      .fields_grouping("sort", {"value"});
+  Runtime runtime(builder.build("inputs"), bench.options());
+  runtime.start();
+  for (int i = 0; i < 100; ++i) source->lay(Values(i));  // so that tuples of several inputs wait together
+  source->wake();
+  runtime.run_until_idle();
+  const Snapshot snapshot = runtime.snapshot();
+  const TaskSnapshot join = snapshot.component("join");
+  EXPECT_EQ(join.executed, 160U);
+  EXPECT_EQ(join.failed, 2U);
+  std::map<std::string, std::vector<std::uint64_t>> inputs;
+  for (const auto& one : join.inputs) inputs[one.from + "/" + one.stream] = {one.executed, one.acked, one.failed};
+  EXPECT_THAT(inputs,
+              ElementsAre(Pair("in/default", ElementsAre(100U, 99U, 1U)), Pair("sort/odd", ElementsAre(50U, 49U, 1U)),
+                          Pair("sort/tenth", ElementsAre(10U, 10U, 0U))));
+  EXPECT_THAT(snapshot.component("sort").inputs, IsEmpty()) << "it has one";
+  EXPECT_THAT(snapshot.component("even").inputs, IsEmpty()) << "two groupings of one stream are one input";
+  EXPECT_EQ(snapshot.component("even").executed, 100U);
+}
+
 TEST(Runtime, CountsEveryTuple) {
   Bench bench;
   auto source = std::make_shared<Source>();

@@ -130,6 +130,31 @@ TEST(WorkerPages, SayHowMuchWindowsAndStatesKeep) {
   EXPECT_EQ(task_of(page, "count")["window_tuples"], json());
 }
 
+TEST(WorkerPages, SayWhatABoltDidWithEachOfSeveralInputs) {
+  auto source = std::make_shared<Source>();
+  Bench bench;
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("pass", pass_bolt()).shuffle_grouping("in");
+  builder
+      .set_bolt("join", bolt([](const Tuple& tuple, OutputCollector& collector, const TopologyContext&) {
+                  if (tuple.get<std::int64_t>("value") == 3) throw std::runtime_error("three");
+                  collector.ack(tuple);
+                }))
+      .shuffle_grouping("in")
+      .shuffle_grouping("pass");
+  Runtime runtime(builder.build("joins"), bench.options());
+  runtime.start();
+  for (int i = 0; i < 5; ++i) source->put(Values(i));
+  runtime.run_until_idle();
+  const auto page = json::parse(describe(runtime, "w1"));
+  json one{{"from", "in"}, {"stream", "default"}, {"executed", 5}, {"acked", 4}, {"failed", 1}, {"late", 0}};
+  json other = one;
+  other["from"] = "pass";
+  EXPECT_EQ(task_of(page, "join")["inputs"], (json{one, other}));
+  EXPECT_EQ(task_of(page, "pass")["inputs"], json::array());
+}
+
 TEST(WorkerPages, DescribeTheGraphAndCountWhatWasDone) {
   Paged paged;
   paged.put(-1, 8);

@@ -11,12 +11,16 @@
 namespace iotcloud::topology::internal {
 
 BoltTask::BoltTask(const TaskEnvironment& environment, Executors& executors, TopologyContext context,
-                   std::unique_ptr<Bolt> bolt, InputPolicies policies, const detail::StreamInfo* tick_stream)
+                   std::unique_ptr<Bolt> bolt, const std::vector<const detail::StreamInfo*>& inputs,
+                   InputPolicies policies, const detail::StreamInfo* tick_stream)
     : Task(environment, executors, Role::worker, std::move(context)),
       bolt_(std::move(bolt)),
       tick_stream_(tick_stream),
       policies_(std::move(policies)),
-      mailbox_(*this, environment_.options->mailbox_capacity, policies_.keep_last) {}
+      inputs_(inputs.size() > 1 ? inputs.size() : 0),
+      mailbox_(*this, environment_.options->mailbox_capacity, policies_.keep_last) {
+  for (std::size_t i = 0; i < inputs_.size(); ++i) inputs_[i].stream = inputs[i];
+}
 
 BoltTask::~BoltTask() {
   discard();
@@ -38,6 +42,12 @@ void BoltTask::close() {
 }
 
 void BoltTask::fill(TaskSnapshot& snapshot) const {
+  for (const InputCounts& input : inputs_) {
+    snapshot.inputs.push_back(
+        {input.stream->component, input.stream->stream, input.executed.load(std::memory_order_relaxed),
+         input.acked.load(std::memory_order_relaxed), input.failed.load(std::memory_order_relaxed),
+         input.late.load(std::memory_order_relaxed)});
+  }
   snapshot.superseded = mailbox_.superseded();
   snapshot.execute_latency = execute_latency_.summary();
   snapshot.process_latency = process_latency().summary();
@@ -75,13 +85,15 @@ union Lent {
 }  // namespace
 
 /// Executes tuples until one of them fills a mailbox. \return how many. \tparam plain no deadlines, and no taps.
-template <bool plain>
+/// \tparam several false: there is one input, so that nothing is counted by input.
+template <bool plain, bool several>
 [[gnu::noinline]] std::size_t BoltTask::execute_some(std::span<TupleCell* const> cells) {
   constexpr std::ptrdiff_t ahead = 4;
   EmittingLane& lane = *lane_;
   TupleCell* const* const begin = cells.data();
   TupleCell* const* const end = begin + cells.size();
   TupleCell* const* at = begin;
+  [[maybe_unused]] InputCounts* input = nullptr;
   for (; at != end && !lane.wants_flush(); ++at) {
     if (end - at > ahead) {
       const auto* soon = reinterpret_cast<const char*>(at[ahead]);
@@ -92,6 +104,10 @@ template <bool plain>
     const Lent lent(*cell);
     const Tuple& tuple = lent.tuple;
     current_ = open_ = cell;
+    if constexpr (several) {
+      if (input == nullptr || input->stream != cell->stream) input = find_input(cell->stream);
+    }
+    [[maybe_unused]] const std::size_t acked_before = acked_in_chunk_;
     bool given_up = false;
     std::int64_t watched_ns = 0;
     if constexpr (!plain) {
@@ -107,10 +123,22 @@ template <bool plain>
       if (open_ != nullptr) leave_open(*cell);
       if (watched_ns != 0) note_executed(*cell, watched_ns);
     }
+    if constexpr (several) {
+      if (input != nullptr) {
+        bump(given_up ? input->late : input->executed);
+        bump(input->acked, acked_in_chunk_ - acked_before);  // settle() counts the other acks
+      }
+    }
     if (cell->let_go()) cell->recycle(lane.cells());
   }
   current_ = open_ = nullptr;
   return static_cast<std::size_t>(at - begin);
+}
+
+/// \return null: the task has one input, or the tuple is none of its inputs.
+InputCounts* BoltTask::find_input(const detail::StreamInfo* stream) {
+  const auto input = std::find_if(inputs_.begin(), inputs_.end(), [&](const auto& i) { return i.stream == stream; });
+  return input == inputs_.end() ? nullptr : &*input;
 }
 
 /// Gives the first child an id of its own, as the others have: the tuple is not acked in its own execute().
@@ -139,7 +167,9 @@ std::size_t BoltTask::execute_chunk() {
     std::span<TupleCell* const> cells = mailbox_.next();
     if (cells.empty()) break;
     cells = cells.first(std::min(cells.size(), chunk_ - taken));
-    const std::size_t some = plain ? execute_some<true>(cells) : execute_some<false>(cells);
+    const std::size_t some = !plain            ? execute_some<false, true>(cells)
+                             : inputs_.empty() ? execute_some<true, false>(cells)
+                                               : execute_some<true, true>(cells);
     mailbox_.took(some);
     taken += some;
   }
@@ -393,6 +423,7 @@ void BoltTask::settle(Answer answer, const Tuple& tuple) {
     disinherit(cell);
   }
   bump(answer == Answer::ack ? counts_.acked : counts_.failed);
+  if (InputCounts* const input = find_input(cell.stream)) bump(answer == Answer::ack ? input->acked : input->failed);
   if (delivery == nullptr) return;
   if (delivery->executed_ns != 0) process_latency_.record_ns(real_ns() - delivery->executed_ns);
   if (taps_.any() && (&cell != current_ || answer != Answer::ack)) {

@@ -24,12 +24,20 @@ struct InputPolicies {
   std::vector<KeepLast> keep_last;
 };
 
+/// Counts of one of several inputs of a bolt's task. The thread that runs the task writes them, any thread reads them.
+struct InputCounts {
+  const detail::StreamInfo* stream = nullptr;
+  std::atomic<std::uint64_t> executed{0}, acked{0}, failed{0}, late{0};
+};
+
 /// A bolt's task and its mailbox. Answers (acks and fails) that come from other threads, and ticks, do not wait behind
 /// the tuples in the mailbox: the next slice takes them first.
 class BoltTask final : public Task, private OutputCollector {
  public:
+  /// \param inputs the streams that it reads, each once.
   BoltTask(const TaskEnvironment& environment, Executors& executors, TopologyContext context,
-           std::unique_ptr<Bolt> bolt, InputPolicies policies, const detail::StreamInfo* tick_stream);
+           std::unique_ptr<Bolt> bolt, const std::vector<const detail::StreamInfo*>& inputs, InputPolicies policies,
+           const detail::StreamInfo* tick_stream);
   ~BoltTask() override;
 
   /// \throws what the bolt's prepare() throws.
@@ -73,9 +81,10 @@ class BoltTask final : public Task, private OutputCollector {
   void tick();
   std::int64_t begin_watched(const Tuple& tuple);
   void note_executed(const TupleCell& cell, std::int64_t begin_ns) const;
-  template <bool plain>
+  template <bool plain, bool several>
   std::size_t execute_some(std::span<TupleCell* const> cells);
   std::size_t execute_chunk();
+  InputCounts* find_input(const detail::StreamInfo* stream);
   void leave_open(TupleCell& cell);
   void disinherit(TupleCell& parent);
   bool late(const TupleCell& cell) const;
@@ -101,6 +110,7 @@ class BoltTask final : public Task, private OutputCollector {
   std::unique_ptr<Bolt> bolt_;
   const detail::StreamInfo* tick_stream_;
   const InputPolicies policies_;
+  std::vector<InputCounts> inputs_;  ///< empty: the task has one input, whose counts are the task's
   bool prepared_ = false;
   config::Histogram execute_latency_;
   /// Used from the first answer after execute() returned; before, the two latencies are equal.
