@@ -157,12 +157,26 @@ std::string worker_page() {
   std::string from;
   for (const auto& [id, capacity] : parts) {
     const bool spout = from.empty();
-    Json inputs = Json::array(), streams = Json::object(), of_streams = Json::object();
+    Json inputs = Json::array(), streams = Json::object(), of_streams = Json::object(), of_inputs = Json::array();
     streams["default"] = {"frame", "driverID"};
     if (!spout)
       inputs.push_back({{"from", from}, {"stream", "default"}, {"grouping", "fields"}, {"fields", {"driverID"}}});
-    if (id == "commands")
+    if (id == "commands") {
       inputs.push_back({{"from", "decode"}, {"stream", "alerts"}, {"grouping", "all"}, {"fields", Json::array()}});
+      const int alerts = now / 6;
+      of_inputs = {{{"from", from},
+                    {"stream", "default"},
+                    {"executed", now - alerts},
+                    {"acked", now - alerts},
+                    {"failed", 0},
+                    {"late", 0}},
+                   {{"from", "decode"},
+                    {"stream", "alerts"},
+                    {"executed", alerts},
+                    {"acked", alerts - 7},
+                    {"failed", 0},
+                    {"late", 0}}};
+    }
     if (id == "decode") {  // of six tuples one goes to the stream "alerts"
       streams["alerts"] = Json::array({"why"});
       of_streams = {{"default", {{"emitted", 5 * now / 6}, {"transferred", 5 * now / 6}}},
@@ -180,8 +194,9 @@ std::string worker_page() {
                        {"emitted", now},
                        {"transferred", now},
                        {"streams", of_streams},
+                       {"inputs", of_inputs},
                        {"executed", now},
-                       {"acked", now},
+                       {"acked", id == "commands" ? now - 7 : now},
                        {"failed", 0},
                        {"timed_out", 0},
                        {"late", id == hostile ? now / 20 : 0},

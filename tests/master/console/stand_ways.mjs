@@ -110,6 +110,13 @@ export async function wayAndTroubles(page, url) {
   await until("each stream has its rate", async () => (await number(stream("default"))) > 3 * (await number(stream("alerts"))) && (await number(stream("alerts"))) > 0);
   check("and its readers", (await stream("alerts").textContent()).includes("commands (all)"));
   check("an edge has its stream's rate", (await page.locator(".graph .edge", {hasText: "alerts"}).textContent()).includes("/s"));
+  const input = (bolt, from) => page.locator("section[aria-label='Input stats'] tbody tr", {has: page.locator("td:first-child", {hasText: bolt})}).filter({hasText: from});
+  await until("each input has its rate", async () => (await number(input("commands", "script"))) > 3 * (await number(input("commands", "alerts"))) && (await number(input("commands", "alerts"))) > 0);
+  const [, , , , , executed, acked] = await input("commands", "alerts").locator("td").allTextContents();
+  check("each input has its acks", Number(executed) - Number(acked) === 28, `${executed} ${acked}`);
+  const inputs = await page.$$eval("section[aria-label='Input stats'] tbody tr", (rows) => rows.map((row) => [...row.cells].map((cell) => cell.textContent)));
+  const of = (bolt) => inputs.find((one) => one[0] === bolt);
+  check("a bolt with one input has its own counts", of("decode")[5] === of("decide")[5] && of("decide")[5] !== "0" && of("decide")[1] === "decode", JSON.stringify(inputs));
   await stream("alerts").locator("text=Look").click();
   const message = page.locator(".messages li");
   await until("tuples of one stream are there", async () => (await message.count()) && (await message.first().textContent()).includes("decode alerts"));

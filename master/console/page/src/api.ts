@@ -152,6 +152,8 @@ export interface Task {
   transferred: number;
   /** Each stream's part of these, if there are several. */
   streams?: Record<string, {emitted: number; transferred: number}>;
+  /** Each input's part of what follows, if there are several. */
+  inputs?: {from: string; stream: string; executed: number; acked: number; failed: number; late: number}[];
   executed: number;
   acked: number;
   failed: number;

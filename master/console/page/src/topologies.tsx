@@ -1,15 +1,17 @@
 // Topologies: the graph as it runs, and every number of it.
 import type dagre from "@dagrejs/dagre";
 import {useEffect, useMemo, useState} from "preact/hooks";
-import {call, Refused, type Task, type TopologyPages, type TopologyState} from "./api";
+import {call, Refused, type Task, type TopologyPages, type TopologyState, type WorkerPage} from "./api";
 import {useRepeated} from "./instance";
 import {act, confirm, Empty, mayAct, Panel, Spread, State, together, useKnown, useLoaded} from "./parts";
 import {age, bytes, count, duration, plural, time} from "./words";
 
+type Input = WorkerPage["components"][number]["inputs"][number];
+
 interface Component {
   id: string;
   kind: "spout" | "bolt";
-  inputs: {from: string; stream: string; grouping: string; fields: string[]}[];
+  inputs: Input[];
   streams: Record<string, string[]>;
   parallelism: number;
   mostParallelism: number;
@@ -18,7 +20,12 @@ interface Component {
   executedRate: number | null;
   /** By stream. */
   out: Map<string, {emitted: number; transferred: number; rate: number | null}>;
+  /** By stream that it reads. */
+  read: {from: string; stream: string; groupings: string; executed: number; acked: number; failed: number; late: number; rate: number | null}[];
 }
+
+const isOf = (one: {from: string; stream: string}, other: {from: string; stream: string}): boolean => one.from === other.from && one.stream === other.stream;
+const groupingText = (input: Input): string => `${input.grouping}${input.fields.length ? ` ${input.fields.join(", ")}` : ""}`;
 
 const sum = (tasks: Task[], of: (task: Task) => number): number => tasks.reduce((all, task) => all + of(task), 0);
 const most = (tasks: Task[], of: (task: Task) => number): number => tasks.reduce((all, task) => Math.max(all, of(task)), 0);
@@ -38,10 +45,20 @@ function componentsOf(now: TopologyPages, former: TopologyPages | null): Compone
       emitted: sum(tasks, (task) => of(task, stream, "emitted")), transferred: sum(tasks, (task) => of(task, stream, "transferred")),
       rate: rate((task) => of(task, stream, "emitted")),
     }]));
+    // Several groupings may read one stream. A task that reads one stream does not count it apart.
+    const streams = spec.inputs.filter((input, index) => spec.inputs.findIndex((one) => isOf(one, input)) === index);
+    const did = (task: Task, input: Input, key: "executed" | "acked" | "failed" | "late"): number =>
+      (streams.length > 1 ? task.inputs?.find((one) => isOf(one, input)) : task)?.[key] ?? 0;
+    const read = streams.map((input) => ({
+      from: input.from, stream: input.stream, groupings: spec.inputs.filter((one) => isOf(one, input)).map(groupingText).join("; "),
+      executed: sum(tasks, (task) => did(task, input, "executed")), acked: sum(tasks, (task) => did(task, input, "acked")),
+      failed: sum(tasks, (task) => did(task, input, "failed")), late: sum(tasks, (task) => did(task, input, "late")),
+      rate: rate((task) => did(task, input, "executed")),
+    }));
     all.push({
       id: spec.id, kind: spec.kind, inputs: spec.inputs, streams: spec.streams, tasks,
       parallelism: each.reduce((number, one) => number + one.parallelism, 0), mostParallelism: spec.tasks,
-      emittedRate: rate((task) => task.emitted), executedRate: rate((task) => task.executed), out,
+      emittedRate: rate((task) => task.emitted), executedRate: rate((task) => task.executed), out, read,
     });
   }
   return all;
@@ -254,7 +271,7 @@ const lastError = (tasks: (Task & {worker: string})[]): string => {
 function Streams({topology, components}: {topology: string; components: Component[]}) {
   const lines = components.flatMap((one) => [...one.out].map(([stream, counts]) => ({one, stream, counts,
     readers: components.flatMap((other) => other.inputs.filter((input) => input.from === one.id && input.stream === stream)
-      .map((input) => `${other.id} (${input.grouping}${input.fields.length ? ` ${input.fields.join(", ")}` : ""})`))})));
+      .map((input) => `${other.id} (${groupingText(input)})`))})));
   if (!lines.length) return null;
   return (
     <Panel title="Streams">
@@ -264,6 +281,22 @@ function Streams({topology, components}: {topology: string; components: Componen
           <tr key={`${one.id} ${stream}`}><td>{one.id}</td><td>{stream}</td><td>{one.streams[stream]?.join(", ")}</td><td>{readers.join(", ") || <span class="quiet">nobody</span>}</td>
             <td class="n">{rateText(counts.rate)}</td><td class="n">{count(counts.emitted)}</td><td class="n">{count(counts.transferred)}</td>
             <td><a href={`#/tap?${new URLSearchParams({topology, component: one.id, stream})}`}>Look</a></td></tr>))}</tbody>
+      </table></div>
+    </Panel>
+  );
+}
+
+/** What each bolt has done with the tuples of each stream that it reads. */
+function InputStats({components}: {components: Component[]}) {
+  const lines = components.flatMap((one) => one.read.map((input) => ({one, input})));
+  if (!lines.length) return null;
+  return (
+    <Panel title="Input stats">
+      <div class="scroll" tabIndex={0} role="group" aria-label="What bolts did with each stream"><table>
+        <thead><tr><th>Bolt</th><th>Component</th><th>Stream</th><th>Grouping</th><th class="n">Executed/s</th><th class="n">Executed</th><th class="n">Acked</th><th class="n">Failed</th><th class="n">Late</th></tr></thead>
+        <tbody>{lines.map(({one, input}) => (
+          <tr key={`${one.id} ${input.from} ${input.stream}`}><td>{one.id}</td><td>{input.from}</td><td>{input.stream}</td><td>{input.groupings}</td>
+            <td class="n">{rateText(input.rate)}</td>{[input.executed, input.acked, input.failed, input.late].map((number, index) => <td key={index} class="n">{count(number)}</td>)}</tr>))}</tbody>
       </table></div>
     </Panel>
   );
@@ -346,6 +379,7 @@ function Topology({topology, component, pages, former}: {topology: TopologyState
             </table></div>
           </Panel>
           <Streams topology={topology.name} components={components} />
+          <InputStats components={components} />
           <Kept components={components} />
           <Readers topology={topology} />
           {mayAct() && <Panel title="Rebalance"><Rebalance topology={topology} components={components} /></Panel>}
