@@ -11,13 +11,18 @@ namespace {
 
 using testing::ElementsAre;
 
-/// in -> triple -> slow; with its first tuple the slow bolt waits until its queue is full, and then looks at the depths
-/// of both queues each time.
+bool was_throttled(const Source& source) {
+  const auto calls = source.calls();
+  return std::find(calls.begin(), calls.end(), "throttled") != calls.end();
+}
+
+/// in -> triple -> slow; with its first tuple the slow bolt waits until the spout is told that the queue behind it is
+/// full, and looks at the depths of both queues each time.
 TEST(BackPressure, NoQueueGrowsBeyondItsBoundAndNothingIsLost) {
   constexpr std::size_t capacity = 16, count = 200;
   Bench bench;
   auto options = bench.options();
-  options.threads = 2;  // one of them waits in the slow bolt, the other fills its queue
+  options.threads = 2;  // one of them waits in the slow bolt, the other runs the spout
   options.mailbox_capacity = capacity;
   auto source = std::make_shared<Source>();
   auto sink = std::make_shared<Sink>();
@@ -36,15 +41,8 @@ TEST(BackPressure, NoQueueGrowsBeyondItsBoundAndNothingIsLost) {
       .shuffle_grouping("in");
   builder
       .set_bolt("slow", bolt([&](const Tuple& tuple, OutputCollector& out, const TopologyContext&) {
-                  const auto look = [&] {
-                    for (const auto& task : running->snapshot().tasks) deepest = std::max(deepest, task.queue_depth);
-                    return deepest >= capacity;
-                  };
-                  if (was_full) {
-                    look();
-                  } else {
-                    was_full = eventually(look);
-                  }
+                  if (!was_full) was_full = eventually([&] { return was_throttled(*source); });
+                  for (const auto& task : running->snapshot().tasks) deepest = std::max(deepest, task.queue_depth);
                   sink->add(tuple, 0);
                   out.ack(tuple);
                 }))
@@ -86,15 +84,11 @@ TEST(BackPressure, ASpoutIsNotAskedWhileWhatItFeedsIsFullAndIsTold) {
   std::jthread reader([&] {
     for (int i = 0; i < 100; ++i) source->put(Values(i));
   });
-  const auto throttled = [&] {
-    const auto calls = source->calls();
-    return std::find(calls.begin(), calls.end(), "throttled") != calls.end();
-  };
   ASSERT_TRUE(eventually([&] { return runtime.snapshot().component("slow").queue_depth > 0; }));
   // Whoever runs the slow bolt is stuck in it; another thread runs the spout, until its target is full.
   ASSERT_TRUE(eventually([&] {
     source->put(Values(0));
-    return throttled();
+    return was_throttled(*source);
   }));
   EXPECT_LE(runtime.snapshot().component("slow").queue_depth, 8U);
   // What does not feed the slow bolt goes on.
