@@ -32,6 +32,8 @@ import sbom  # noqa: E402
 MAINTAINER = "IoTCloud", "iotcloud@example.org"
 # The section of a program's manual page: 8 for daemons and what they start.
 DAEMONS = {"iotcloud-master", "iotcloud-gateway", "iotcloud-driver-host", "iotcloud-topology", "iotcloud-robot"}
+# Storm's side, where CMake found jni.h and where Maven made the jar.
+OF_STORM = ("usr/lib/iotcloud/storm", "usr/share/iotcloud/storm")
 
 
 class Failed(Exception):
@@ -209,9 +211,10 @@ if [ "$1" = purge ]; then
 fi
 #DEBHELPER#
 """, encoding="utf-8")
-    if any((there / "usr/lib/iotcloud/storm").glob("*")):  # where CMake found jni.h, and Maven made the jar
-        with open(folder / "iotcloud-storm.install", "a", encoding="utf-8") as file:
-            file.write("usr/lib/iotcloud/storm\n")
+    for part in OF_STORM:
+        if (there / part).exists():
+            with open(folder / "iotcloud-storm.install", "a", encoding="utf-8") as file:
+                file.write(f"{part}\n")
     for page in sorted((there / "usr/share/man").rglob("*.[18]")):
         for package in kept:
             if f"usr/bin/{page.stem}" in taken_by(package.split()[1]):

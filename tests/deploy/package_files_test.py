@@ -72,7 +72,7 @@ class Files(unittest.TestCase):
     def test_every_installed_file_is_in_exactly_one_package(self):
         patterns = [(name, pattern) for name in fields() for pattern in package.taken_by(name)]
         # Packages of Storm's side take what is there of it.
-        patterns += [("iotcloud-storm", "usr/lib/iotcloud/storm")]
+        patterns += [("iotcloud-storm", part) for part in package.OF_STORM]
         patterns += [("none", line) for line in (DEBIAN / "not-installed").read_text(encoding="utf-8").split()]
         self.assertGreater(len(self.installed), 200)
         for path in self.installed:
@@ -80,7 +80,7 @@ class Files(unittest.TestCase):
             self.assertEqual(len(takers), 1, f"{path} is in {takers}: deploy/debian says by NAME.install, and by stanzas of drivers in "
                              "control, which package has it")
         for name, pattern in patterns:
-            if not pattern.startswith(GENERATED) and pattern not in MAY_BE_MISSING and pattern != "usr/lib/iotcloud/storm":
+            if not pattern.startswith(GENERATED) and pattern not in (*MAY_BE_MISSING, *package.OF_STORM):
                 self.assertTrue(any(package.takes(pattern, path) for path in self.installed), f"{name}: there is no {pattern}")
 
     def test_programs_and_their_units_are_in_the_same_package(self):

@@ -112,10 +112,10 @@ class Archive {
 
 ShimFiles ShimFiles::find() {
   const fs::path program = fs::read_symlink("/proc/self/exe").parent_path();
-  const fs::path installed = program.parent_path() / "lib/iotcloud/storm";
-  return {find_file(classes_name, {installed, program.parent_path().parent_path() / "storm"},
+  const fs::path prefix = program.parent_path();
+  return {find_file(classes_name, {prefix / "share/iotcloud/storm", program.parent_path().parent_path() / "storm"},
                     "\"./dev storm jar\" makes it, with Maven"),
-          find_file(library_name, {installed, program.parent_path() / "storm"},
+          find_file(library_name, {prefix / "lib/iotcloud/storm", program.parent_path() / "storm"},
                     "it is made where a JDK is installed (Debian: openjdk-17-jdk-headless)")};
 }
 
