@@ -48,11 +48,9 @@ class GatewayDaemon final : public config::DaemonService {
     plugins.most_bytes = config_.plugin_upload_limit;
     plugins.trust = config_.hosts.trust;
     config_.hosts.store = std::make_shared<processes::PluginStore>(plugins);
-    if (!config_.pages.address.empty()) {
-      config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
-      of_hosts_ = config::process_metrics().add_source(
-          [hosts = config_.hosts.metrics](std::vector<config::Sample>& samples) { hosts->append(samples); });
-    }
+    config_.hosts.metrics = std::make_shared<gateway::HostMetrics>();
+    of_hosts_ = config::process_metrics().add_source(
+        [hosts = config_.hosts.metrics](std::vector<config::Sample>& samples) { hosts->append(samples); });
     std::map<std::string, std::string> certificates;
     for (const auto& broker : config_.gateway.brokers) certificates[broker.name] = broker.options.tls.certificate_file;
     certificate_days_.emplace(security::certificates_for_brokers(certificates), config::process_metrics());
