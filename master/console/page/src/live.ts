@@ -164,6 +164,20 @@ export async function whoAmI(): Promise<void> {
   if (known.me && known.me.role !== "anyone" && wanted && !stream) open();
 }
 
+/** Ends when the state is known, or after so many ms. */
+export function stateCame(limit: number): Promise<void> {
+  return new Promise((resolve) => {
+    const look = (): void => {
+      if (!known.state) return;
+      forget();
+      resolve();
+    };
+    const forget = subscribe(look);
+    window.setTimeout(() => { forget(); resolve(); }, limit);
+    look();
+  });
+}
+
 document.addEventListener("visibilitychange", () => {
   if (document.hidden) {
     hiddenSince = Date.now();

@@ -1,11 +1,11 @@
 // The console: its frame, its pages, the log-in.
 import {render} from "preact";
-import {useEffect, useLayoutEffect, useRef, useState} from "preact/hooks";
+import {useEffect, useRef, useState} from "preact/hooks";
 import {logIn, logOut, Refused} from "./api";
 import {Fleet} from "./fleet";
 import {History} from "./history";
 import {Instance} from "./instance";
-import {known, want, whoAmI} from "./live";
+import {known, stateCame, want, type Wanted, whoAmI} from "./live";
 import {Overview} from "./overview";
 import {Notices, useKnown} from "./parts";
 import {Robots, usePages} from "./robots";
@@ -59,6 +59,17 @@ function place(): Place {
     }
   });
   return {path: words, query: new URLSearchParams(query)};
+}
+
+const withRows = ["fleet", "tap", "way", "instance", "history"];
+
+/** What the page at this place shows of the stream; null: nothing. */
+function wantedAt({path, query}: Place): Wanted | null {
+  const page = path[0] ?? "overview";
+  return page === "robot" ? null : {
+    rows: withRows.includes(page), where: page === "fleet" ? query.get("where") ?? "" : "",
+    topology: page === "topology" ? path[1] ?? "" : "",
+  };
 }
 
 function LogIn() {
@@ -115,13 +126,12 @@ function Console() {
   }, []);
   const page = at.path[0] ?? "overview";
   const robots = usePages(me?.role).length > 0;
-  const topology = page === "topology" ? at.path[1] ?? "" : "";
-  const where = page === "fleet" ? at.query.get("where") ?? "" : "";
-  const rows = page === "fleet" || page === "tap" || page === "way" || page === "instance" || page === "history";
-  useLayoutEffect(() => {  // before anything is painted, so that the stream begins at once
-    if (me && me.role !== "anyone" && page !== "robot") want({rows, where, topology});
+  const wanted = wantedAt(at);
+  const where = wanted?.where ?? "", topology = wanted?.topology ?? "";
+  useEffect(() => {
+    if (me && me.role !== "anyone" && wanted) want(wanted);
     document.title = `${links.find(([name]) => name === page)?.[1] ?? at.path[at.path.length - 1] ?? "Overview"} · IoTCloud`;
-  }, [me?.role, rows, where, topology, page]);
+  }, [me?.role, where, topology, page]);
   if (!me) return <p class="empty" role="status">Asking the master ...</p>;
   if (me.role === "anyone") return <LogIn />;
   const insteadOf = at.query.get("instead-of");
@@ -181,5 +191,15 @@ function Console() {
   );
 }
 
-render(<Console />, document.getElementById("page")!);
-void whoAmI();
+/** Waits a moment for the first figures, so that they are painted with the frame and not after it. */
+async function begin(): Promise<void> {
+  await whoAmI();
+  const wanted = wantedAt(place());
+  if (known.me && known.me.role !== "anyone" && wanted) {
+    want(wanted);
+    await stateCame(200);
+  }
+  render(<Console />, document.getElementById("page")!);
+}
+
+void begin();
