@@ -5,6 +5,7 @@
 #include <fstream>
 #include <iterator>
 #include <stdexcept>
+#include <string_view>
 
 #include <fmt/format.h>
 #include <zlib.h>
@@ -17,6 +18,7 @@ namespace {
 
 constexpr std::size_t shortest_secret = 4;
 constexpr const char* hidden = "***";
+constexpr const char* pem_line = "-----";  ///< how the first and the last line of a file in PEM form begin
 
 std::string without(std::string text, const std::string& secret) {
   for (auto at = text.find(secret); at != std::string::npos; at = text.find(secret, at + std::strlen(hidden)))
@@ -47,13 +49,13 @@ std::string without_passwords_in_urls(const std::string& text) {
     const std::size_t start = scheme + 3;
     auto end = text.find_first_of(" \t\r\n\"'<>[]{}", start);
     if (end == std::string::npos) end = text.size();
-    const auto at = text.rfind('@', end);
-    const auto colon = text.find(':', start);
+    const auto host = std::string_view(text).substr(start, end - start);
+    const auto at = host.rfind('@'), colon = host.find(':');
     out.append(text, from, start - from);
-    if (at != std::string::npos && at > start && at < end && colon != std::string::npos && colon < at) {
-      out.append(text, start, colon + 1 - start).append(hidden).append(text, at, end - at);
+    if (at != std::string_view::npos && colon < at) {
+      out.append(host.substr(0, colon + 1)).append(hidden).append(host.substr(at));
     } else {
-      out.append(text, start, end - start);
+      out.append(host);
     }
     from = end;
   }
@@ -234,12 +236,15 @@ void Redactor::add_secret_file(const std::string& file) {
   std::ifstream in(file);
   constexpr int most_lines = 10'000;
   std::string line;
-  for (int i = 0; i < most_lines && std::getline(in, line); ++i) add_secret(line);
+  for (int i = 0; i < most_lines && std::getline(in, line); ++i) {
+    if (!line.starts_with(pem_line)) add_secret(line);  // other keys have the same one
+  }
 }
 
 std::string Redactor::redacted(std::string text) const {
+  text = without_private_keys(std::move(text));  // while their first and last lines are there
   for (const auto& secret : secrets_) text = without(std::move(text), secret);
-  return without_tokens(without_named_secrets(without_passwords_in_urls(without_private_keys(std::move(text)))));
+  return without_tokens(without_named_secrets(without_passwords_in_urls(text)));
 }
 
 std::string archive_of(const std::map<std::string, std::string>& files, std::int64_t time_s) {

@@ -63,6 +63,11 @@ void look_through(YamlSection& section, const std::string& place, Machine& machi
   }
 }
 
+/// The host of an address: "[::1]" is the host ::1.
+std::string without_brackets(const std::string& host) {
+  return host.starts_with('[') && host.ends_with(']') ? host.substr(1, host.size() - 2) : host;
+}
+
 void read_listeners(YamlSection& root, Machine& machine) {
   const std::pair<const char*, int> services[] = {
       {"thrift", machine.kind == "gateway" ? 12905 : 0}, {"api", 12904}, {"gateways", 0}};
@@ -86,7 +91,7 @@ void read_listeners(YamlSection& root, Machine& machine) {
   const std::string port = address.substr(colon + 1);
   if (!port.empty() && port.size() <= 5 && port.find_first_not_of("0123456789") == std::string::npos &&
       std::stoi(port) > 0)
-    machine.listeners.push_back({"metrics.address", address.substr(0, colon), std::stoi(port)});
+    machine.listeners.push_back({"metrics.address", without_brackets(address.substr(0, colon)), std::stoi(port)});
 }
 
 void read_parts(YamlSection& root, Machine& machine, Findings& findings) {
@@ -155,14 +160,16 @@ Machine read_machine(const std::string& file, Findings& findings) {
 
 std::vector<std::string> usual_files(const std::string& folder) {
   std::vector<std::string> files;
-  std::error_code error;
-  for (const auto& entry : fs::directory_iterator(folder, error)) {
-    if (entry.path().extension() != ".yaml" || !entry.is_regular_file(error)) continue;
-    try {
-      auto root = YamlSection::load_file(entry.path());
-      if (!kind_of(root).empty()) files.push_back(entry.path());
-    } catch (const config::Error&) {
-      files.push_back(entry.path());  // read_machine() says what is wrong with it
+  for (const auto& place : {fs::path(folder), fs::path(folder) / "topologies"}) {
+    std::error_code error;
+    for (const auto& entry : fs::directory_iterator(place, error)) {
+      if (entry.path().extension() != ".yaml" || !entry.is_regular_file(error)) continue;
+      try {
+        auto root = YamlSection::load_file(entry.path());
+        if (!kind_of(root).empty()) files.push_back(entry.path());
+      } catch (const config::Error&) {
+        files.push_back(entry.path());  // read_machine() says what is wrong with it
+      }
     }
   }
   std::sort(files.begin(), files.end());

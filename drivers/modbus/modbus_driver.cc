@@ -15,9 +15,10 @@ namespace iotcloud::drivers::modbus {
 
 namespace {
 
-/// Whether it is an answer of the device: it refuses the request.
+/// Whether it is an answer of the device: it refuses the request. A gateway answers in place of a device that does not
+/// (EMBXGPATH, EMBXGTAR).
 bool is_refusal(int error) {
-  return error >= EMBXILFUN && error <= EMBXGTAR;
+  return error >= EMBXILFUN && error <= EMBXGTAR && error != EMBXGPATH && error != EMBXGTAR;
 }
 
 /// Whether noise may be the cause, so that another try may succeed.

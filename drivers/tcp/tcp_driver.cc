@@ -24,6 +24,11 @@ void TcpDriver::read(PropertyReader& reader) {
         "devices "
         "connect)");
   }
+  if (!listen_text_.empty() && reader.text("while_away", "drop") == "keep") {
+    throw std::invalid_argument(
+        "property \"while_away\": \"keep\" is for \"connect\": with \"listen\" it is not known which device comes "
+        "back");
+  }
   if (!connect_text_.empty()) peer_ = stream::split_address("connect", connect_text_);
   if (!listen_text_.empty()) listen_ = stream::read_address("listen", listen_text_);
 }

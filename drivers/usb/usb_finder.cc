@@ -70,7 +70,13 @@ void UsbFinder::open(DriverContext& context) {
   if (const int status = udev_monitor_enable_receiving(monitor_.get()); status < 0)
     throw std::runtime_error("udev's events cannot be heard: " + std::string(std::strerror(-status)));
   readable_ = context.on_readable(udev_monitor_get_fd(monitor_.get()), [this] { hear(); });
-  context.report_sight(true);
+  list_all();
+}
+
+/// Tells all that is there; what was there and is not told again is gone.
+void UsbFinder::list_all() {
+  context_->report_sight(false);
+  context_->report_sight(true);
   for (const auto& subsystem : subsystems_) list(subsystem);
 }
 
@@ -89,13 +95,18 @@ void UsbFinder::list(const std::string& subsystem) {
 }
 
 void UsbFinder::hear() {
+  errno = 0;
   while (const OwnedDevice device{udev_monitor_receive_device(monitor_.get())}) {
     if (text_or_none(udev_device_get_action(device.get())) == "remove") {
       context_->report_gone(text_or_none(udev_device_get_syspath(device.get())));
     } else {
       look(device.get());
     }
+    errno = 0;
   }
+  if (errno != ENOBUFS) return;
+  context_->log(LogLevel::warn, "udev told more at once than the kernel kept: all devices are listed anew");
+  list_all();
 }
 
 /// Reports the device if it is on USB and programs can open it.

@@ -38,6 +38,7 @@ class UsbFinder : public Driver {
     void operator()(udev* library) const;
     void operator()(udev_monitor* monitor) const;
   };
+  void list_all();
   void list(const std::string& subsystem);
   void look(udev_device* device);
   void hear();

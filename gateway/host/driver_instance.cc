@@ -480,7 +480,11 @@ drivers::PublishStatus DriverInstance::publish(std::string_view channel, drivers
   message.gateway_id = environment_->gateway;
   if (message.time_ms == 0) message.time_ms = environment_->clock->wall_ms();
   if (round_trips_) round_trips_->sent(message.time_ms, environment_->clock->now());
-  if (const auto status = channels_.publish(channel, message)) return *status;
+  const auto time_ms = message.time_ms;
+  if (const auto status = channels_.publish(channel, message)) {
+    if (round_trips_ && *status != drivers::PublishStatus::accepted) round_trips_->refused(time_ms);
+    return *status;
+  }
   if (!running()) return drivers::PublishStatus::closed;  // close_now() has just taken the channels away
   std::vector<drivers::ChannelSpec> declared;
   for (const auto& name : channels_.outgoing_names()) declared.emplace_back().name = name;

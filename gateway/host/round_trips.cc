@@ -16,8 +16,8 @@ constexpr const char* bucket_metric = "iotcloud_driver_round_trip_seconds_bucket
 constexpr const char* help = "Messages of drivers that were answered within so many seconds";
 constexpr const char* end_label = "le";
 constexpr const char* no_end = "+Inf";
-/// The upper ends are quarters of the octaves from 0.26 ms to 69 s.
-constexpr int first_octave = 18, last_octave = 35, quarters = 4;
+/// The upper ends are quarters of the octaves from 33 us to 69 s.
+constexpr int first_octave = 15, last_octave = 35, quarters = 4;
 constexpr double ns_per_s = 1e9, us_per_s = 1e6, ms_per_s = 1e3;
 
 double number_of(const std::string& end) {
@@ -28,18 +28,29 @@ double number_of(const std::string& end) {
 
 }  // namespace
 
+bool RoundTrips::is_before(std::int64_t time_ms, const Sent& sent) {
+  return time_ms < sent.time_ms;
+}
+
 void RoundTrips::sent(std::int64_t time_ms, config::Clock::Instant now) {
   const config::MutexLock lock(mutex_);
   while (!sent_.empty() && (sent_.front().answered || sent_.size() >= most || now - sent_.front().at > longest))
     sent_.pop_front();
-  sent_.push_back({time_ms, now, false});
+  sent_.insert(std::upper_bound(sent_.begin(), sent_.end(), time_ms, is_before), {time_ms, now, false});
+}
+
+void RoundTrips::refused(std::int64_t time_ms) {
+  const config::MutexLock lock(mutex_);
+  const auto behind = std::upper_bound(sent_.begin(), sent_.end(), time_ms, is_before);
+  if (behind != sent_.begin() && std::prev(behind)->time_ms == time_ms) sent_.erase(std::prev(behind));
 }
 
 std::optional<config::Clock::Instant::duration> RoundTrips::came(std::int64_t time_ms, config::Clock::Instant now) {
   const config::MutexLock lock(mutex_);
-  const auto found = std::find_if(sent_.begin(), sent_.end(),
-                                  [&](const Sent& sent) { return sent.time_ms == time_ms && !sent.answered; });
-  if (found == sent_.end() || now - found->at > longest) return std::nullopt;
+  auto found = std::lower_bound(sent_.begin(), sent_.end(), time_ms,
+                                [](const Sent& sent, std::int64_t time) { return sent.time_ms < time; });
+  while (found != sent_.end() && found->time_ms == time_ms && found->answered) ++found;
+  if (found == sent_.end() || found->time_ms != time_ms || now - found->at > longest) return std::nullopt;
   found->answered = true;
   const auto took = now - found->at;
   while (!sent_.empty() && sent_.front().answered) sent_.pop_front();

@@ -17,7 +17,8 @@ namespace iotcloud::gateway {
 
 /// Times the answers to one instance's messages. An answer carries the time of the message that it answers
 /// (docs/wire.md#message-metadata); of messages of one millisecond the oldest counts as answered first, and each only
-/// once. Both times are of the host's clock. Thread safe.
+/// once. A command that answers nothing but has the time of a message that is not answered yet counts as its answer.
+/// Both times are of the host's clock. Thread safe.
 class RoundTrips {
  public:
   /// Answers to older messages are not known as such.
@@ -26,6 +27,8 @@ class RoundTrips {
 
   /// The instance is about to send a message of that time.
   void sent(std::int64_t time_ms, config::Clock::Instant now);
+  /// The message of that time that sent() told of last was not taken.
+  void refused(std::int64_t time_ms);
   /// The instance is about to be handed a message of that time. \return since when the message that it answers is under
   /// way, as a duration; nullopt: it answers none of the latest
   std::optional<config::Clock::Instant::duration> came(std::int64_t time_ms, config::Clock::Instant now);
@@ -36,8 +39,10 @@ class RoundTrips {
     config::Clock::Instant at;
     bool answered;
   };
+  static bool is_before(std::int64_t time_ms, const Sent& sent);
+
   config::Mutex mutex_;
-  std::deque<Sent> sent_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::deque<Sent> sent_ IOTCLOUD_GUARDED_BY(mutex_);  ///< in the order of their times
 };
 
 /// Appends the round trips of a host as a histogram of Prometheus has them: a counter for each of a fixed list of upper

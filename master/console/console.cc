@@ -13,6 +13,7 @@
 #include <iotcloud/master/console/sessions.h>
 #include <iotcloud/master/console/site_rules.h>
 #include <iotcloud/master/listing/secret_properties.h>
+#include <iotcloud/rpc/http/http_address.h>
 #include <iotcloud/rpc/peer_user.h>
 #include <iotcloud/security/logger.h>
 
@@ -48,7 +49,8 @@ struct Console::Impl {
   Impl(Options given, Live::Source source, ConsoleCalls& made_calls)
       : options(std::move(given)),
         rules(options.settings),
-        cookie(options.settings.pages.tls.empty() ? "iotcloud_session" : "__Host-iotcloud_session"),
+        cookie(fmt::format("{}iotcloud_session_{}", options.settings.pages.tls.empty() ? "" : "__Host-",
+                           rpc::HttpAddress(options.settings.pages.address).port)),
         sessions({.longest = options.settings.session, .idle = options.settings.idle}),
         calls(made_calls),
         page_plugins(options.settings.page_plugins),

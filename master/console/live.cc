@@ -28,6 +28,8 @@ constexpr std::array remembered_counts{"emitted",   "transferred", "executed", "
 constexpr std::array lost_counts{"late", "timed_out", "failed", "errors"};
 /// Of Options::remember: how long ago.
 constexpr std::array former_spans{1, 18, 144};
+/// After so many a host that told nothing is forgotten.
+constexpr int rounds_without_answer = 10;
 /// A look may take this part of the time at most.
 constexpr int rest_of_look = 20;
 
@@ -103,7 +105,7 @@ Live::~Live() {
 void Live::follow(std::shared_ptr<rpc::HttpStream> stream, Wanted wanted, std::function<bool()> may) {
   const auto now = clock_.now();
   const config::MutexLock lock(mutex_);
-  followers_.push_back({std::move(stream), std::move(wanted), std::move(may), true, true, now, now});
+  followers_.push_back({std::move(stream), std::move(wanted), std::move(may), true, now, now});
   changed_.notify_all();
 }
 
@@ -231,6 +233,10 @@ std::string Live::state_of(const std::string& problem) const {
                                  {"number_of_faults", number_of_faults}});
 }
 
+Live::Text Live::beat() const {
+  return event("beat", fmt::format(R"({{"ms":{}}})", options_.beat.count()));
+}
+
 void Live::send(Follower& follower, Text text) {
   if (!follower.stream) return;  // its reader has gone; tell_all() removes it
   follower.told = clock_.now();
@@ -252,7 +258,7 @@ void Live::send_rows(Follower& follower, const std::vector<Key>& changed) {
         if (number++ > 0) text += ',';
         text += next->second.json;
       }
-      send(follower, event("rows", text + R"(],"gone":[]})"));
+      send(follower, event("rows", text + R"(],"gone":[],"more":)" + (next == rows_.end() ? "false}" : "true}")));
     } while (next != rows_.end() && follower.stream);
     return;
   }
@@ -276,11 +282,15 @@ void Live::tell_all(const std::vector<Key>& changed) {
   const auto now = clock_.now();
   const config::MutexLock lock(mutex_);
   for (auto& follower : followers_) {
+    if (follower.fresh) send(follower, beat());
     if (follower.fresh && state_) send(follower, state_);
+    for (const auto* series : {&tuples_, &messages_}) {
+      if (follower.fresh) send_points(follower, *series);
+    }
     if (follower.stream && follower.wanted.rows && (looked_ || !follower.fresh)) send_rows(follower, changed);
     follower.fresh = false;
     if (!follower.stream) continue;
-    if (now - follower.told >= options_.beat) send(follower, std::make_shared<const std::string>(":\n\n"));
+    if (now - follower.told >= options_.beat) send(follower, beat());
     if (!follower.stream || now - follower.asked < options_.beat) continue;
     follower.asked = now;
     if (follower.may()) continue;
@@ -297,20 +307,11 @@ void Live::read_pages_on(const std::stop_token& stop) {
     {
       const config::MutexLock lock(mutex_);
       const auto sees_one = [](const Follower& follower) { return !follower.wanted.topology.empty(); };
-      const auto sees_fresh = [](const Follower& follower) { return follower.series_fresh; };
-      const auto anybody_new = [&]() IOTCLOUD_REQUIRES(mutex_) {
-        return std::any_of(followers_.begin(), followers_.end(), sees_fresh);
-      };
       const auto pause = std::any_of(followers_.begin(), followers_.end(), sees_one)
                              ? std::min<config::Clock::Instant::duration>(options_.pages, next_sample - clock_.now())
                              : next_sample - clock_.now();
-      changed_.wait_for(mutex_, stop, std::max(pause, config::Clock::Instant::duration::zero()), anybody_new);
+      changed_.wait_for(mutex_, stop, std::max(pause, config::Clock::Instant::duration::zero()), [] { return false; });
       if (stop.stop_requested()) return;
-      for (auto& follower : followers_) {
-        if (!std::exchange(follower.series_fresh, false) || !follower.stream) continue;
-        send_points(follower, tuples_);
-        send_points(follower, messages_);
-      }
       seen = std::any_of(followers_.begin(), followers_.end(), sees_one);
     }
     const bool sample = clock_.now() >= next_sample;
@@ -337,9 +338,22 @@ void Live::read_pages(bool sample) {
     if (wanted || sample) now[topology.record.name] = show(topology, wanted);
   }
   if (!sample) return;
+  std::set<Key> there;
+  for (const auto& topology : topologies) {
+    for (const auto& worker : topology.workers) there.emplace(topology.record.name, worker.name);
+  }
+  std::erase_if(of_workers_, [&](const auto& entry) { return !there.contains(entry.first); });
   remember(now);
   note_losses(now);
   count_tuples(now);
+}
+
+void Live::add(const Counted& of_worker, Counted& all) {
+  all.emitted += of_worker.emitted;
+  for (const auto& [end, count] : of_worker.complete) all.complete[end] += count;
+  for (const auto& [component, counts] : of_worker.components) {
+    for (const auto& [key, count] : counts) all.components[component][key] += count;
+  }
 }
 
 Live::Counted Live::show(const discovery::TopologyStatus& topology, bool wanted) {
@@ -349,11 +363,12 @@ Live::Counted Live::show(const discovery::TopologyStatus& topology, bool wanted)
     try {
       auto page = discovery::parse_json_as<Json>(source_.worker_page(topology.record.name, worker.name), "its page",
                                                  largest_page);
+      Counted of_worker;
       for (const auto& task : page.at("tasks")) {
         const auto complete = task.find("complete");
         if (complete == task.end() || !complete->contains("buckets") || number_in(*complete, "count") == 0) continue;
         for (const auto& bucket : complete->at("buckets"))
-          counted.complete[bucket.at(0).get<double>()] += bucket.at(1).get<std::uint64_t>();
+          of_worker.complete[bucket.at(0).get<double>()] += bucket.at(1).get<std::uint64_t>();
       }
       std::set<std::string> spouts;
       for (const auto& component : page.at("components")) {
@@ -361,10 +376,11 @@ Live::Counted Live::show(const discovery::TopologyStatus& topology, bool wanted)
       }
       for (const auto& task : page.at("tasks")) {
         const auto component = task.at("component").get<std::string>();
-        if (spouts.contains(component)) counted.emitted += number_in(task, "emitted");
-        auto& counts = counted.components[component];
+        if (spouts.contains(component)) of_worker.emitted += number_in(task, "emitted");
+        auto& counts = of_worker.components[component];
         for (const char* const key : remembered_counts) counts[key] += number_in(task, key);
       }
+      of_workers_[{topology.record.name, worker.name}] = std::move(of_worker);
       if (wanted) pages.push_back(std::move(page));
     } catch (const config::Error& error) {
       problems.push_back({{"worker", worker.name}, {"problem", error.what()}});
@@ -372,6 +388,9 @@ Live::Counted Live::show(const discovery::TopologyStatus& topology, bool wanted)
       problems.push_back(
           {{"worker", worker.name}, {"problem", std::string("its page cannot be read: ") + error.what()}});
     }
+    // A worker whose page cannot be read now has counted what it had: its return is no jump.
+    const auto known = of_workers_.find({topology.record.name, worker.name});
+    if (known != of_workers_.end()) add(known->second, counted);
   }
   if (!wanted) return counted;
   const auto text = event("topology", discovery::to_text(Json{{"topology", topology.record.name.str()},
@@ -465,22 +484,37 @@ void Live::count_tuples(const std::map<std::string, Counted>& now) {
   add_point(tuples_, {clock_.wall_ms(), emitted / seconds, number_or_null(p99_of(complete))});
 }
 
+/// nullopt: the registry is away.
+std::optional<Live::Carried> Live::carried_now() const {
+  try {
+    Carried now;
+    for (auto& carried : source_.carried()) {
+      const Key key{carried.gateway, carried.messages.host};
+      const auto at = clock_.now() - carried.messages.age;
+      now[key] = {std::move(carried.messages), at};
+    }
+    return now;
+  } catch (const config::Error&) {
+    return std::nullopt;
+  }
+}
+
 void Live::count_messages_on(const std::stop_token& stop) {
-  Carried before;
+  Carried known;  // of each host, what it told last
+  bool first = true;
   while (!stop.stop_requested()) {
     const auto next = clock_.now() + options_.sample;
-    Carried now;
-    try {
-      for (auto& carried : source_.carried()) {
-        const Key key{carried.gateway, carried.messages.host};
-        const auto at = clock_.now() - carried.messages.age;
-        now[key] = {std::move(carried.messages), at};
-      }
-    } catch (const config::Error&) {
-      // the registry is away; the look says so
+    auto now = carried_now();
+    if (!now) {
+      const config::MutexLock lock(mutex_);
+      add_point(messages_, {clock_.wall_ms(), Json(), Json(), Json()});
+    } else {
+      if (!std::exchange(first, false)) count_messages(known, *now);
+      for (auto& [host, carried] : *now) known[host] = std::move(carried);
+      std::erase_if(known, [&](const auto& entry) {
+        return clock_.now() - entry.second.at > rounds_without_answer * options_.sample;
+      });
     }
-    if (!before.empty()) count_messages(before, now);
-    before = std::move(now);
     const config::MutexLock lock(mutex_);
     changed_.wait_for(mutex_, stop, std::max(next - clock_.now(), config::Clock::Instant::duration::zero()),
                       [] { return false; });
@@ -510,7 +544,7 @@ void Live::add_point(Series& series, const nlohmann::ordered_json& point) {
   if (series.points.size() > options_.points) series.points.pop_front();
   const auto text = event(series.event, R"({"reset":false,"points":[)" + series.points.back() + "]}");
   for (auto& follower : followers_) {
-    if (follower.stream && !follower.series_fresh) send(follower, text);
+    if (follower.stream && !follower.fresh) send(follower, text);
   }
 }
 

@@ -31,13 +31,14 @@ namespace iotcloud::master {
 /// topologies' workers and from gateways. Thread safe.
 ///
 /// Events: `state` (the master, gateways, topologies, counts of instances and what is wrong with them: when one of them
-/// has changed), `rows` ({"reset", "set": [instance...], "gone": [{"gateway", "instance"}...]}: what has changed of the
-/// instances that the page has selected), `series` (points of the last hour, then each new one: [time in ms, tuples a
-/// second of all spouts, 99 % of their trees are done within so many us]), `messages` (the same of drivers: [time in
-/// ms, messages a second from them, to them, 99 % of the answers to theirs came within so many us]), `topology` (the
-/// pages of its workers, every two seconds, and `former`: what its components had counted some time ago), `over` (the
-/// session has ended). `losses` of `state`: the topologies' components that lost tuples of late ({"topology",
-/// "component", "since_ms", "counts": {"late", "timed_out", "failed", "errors"}}).
+/// has changed), `rows` ({"reset", "set": [instance...], "gone": [{"gateway", "instance"}...], "more"}: what has
+/// changed of the instances that the page has selected), `series` (points of the last hour, then each new one: [time in
+/// ms, tuples a second of all spouts, 99 % of their trees are done within so many us]), `messages` (the same of
+/// drivers: [time in ms, messages a second from them, to them, 99 % of the answers to theirs came within so many us];
+/// null: not known, as while the registry is away), `beat` ({"ms"}: within so much time something comes again),
+/// `topology` (the pages of its workers, every two seconds, and `former`: what its components had counted some time
+/// ago), `over` (the session has ended). `losses` of `state`: the topologies' components that lost tuples of late
+/// ({"topology", "component", "since_ms", "counts": {"late", "timed_out", "failed", "errors"}}).
 class Live {
  public:
   /// What it looks at. Each call may block and throw config::Error. They outlive this.
@@ -96,8 +97,7 @@ class Live {
     std::shared_ptr<rpc::HttpStream> stream;
     Wanted wanted;
     std::function<bool()> may;
-    bool fresh = true;
-    bool series_fresh = true;
+    bool fresh = true;             ///< it has been told nothing yet
     config::Clock::Instant told;   ///< when something was sent last
     config::Clock::Instant asked;  ///< when `may` was asked last
   };
@@ -138,15 +138,18 @@ class Live {
   void read_pages_on(const std::stop_token& stop);
   void look() IOTCLOUD_EXCLUDES(mutex_);
   std::string state_of(const std::string& problem) const;
+  Text beat() const;
   void send(Follower& follower, Text text) IOTCLOUD_REQUIRES(mutex_);
   void send_rows(Follower& follower, const std::vector<Key>& changed) IOTCLOUD_REQUIRES(mutex_);
   void tell_all(const std::vector<Key>& changed) IOTCLOUD_EXCLUDES(mutex_);
   void read_pages(bool sample) IOTCLOUD_EXCLUDES(mutex_);
+  static void add(const Counted& of_worker, Counted& all);
   Counted show(const discovery::TopologyStatus& topology, bool wanted) IOTCLOUD_EXCLUDES(mutex_);
   void remember(const std::map<std::string, Counted>& now);
   nlohmann::ordered_json former(const discovery::TopologyName& topology) const;
   void count_tuples(const std::map<std::string, Counted>& now) IOTCLOUD_EXCLUDES(mutex_);
   void count_messages_on(const std::stop_token& stop);
+  std::optional<Carried> carried_now() const;
   void count_messages(const Carried& before, const Carried& now) IOTCLOUD_EXCLUDES(mutex_);
   void add_point(Series& series, const nlohmann::ordered_json& point) IOTCLOUD_REQUIRES(mutex_);
   void send_points(Follower& follower, const Series& series) IOTCLOUD_REQUIRES(mutex_);
@@ -167,6 +170,7 @@ class Live {
   Losses losses_ IOTCLOUD_GUARDED_BY(mutex_);
   // Used by the thread that reads pages.
   std::map<std::string, Counted> counted_;
+  std::map<Key, Counted> of_workers_;  ///< by topology and worker: what its page said last
   config::Clock::Instant counted_at_{};
   std::map<std::string, std::deque<Remembered>> remembered_;  ///< by topology, the oldest first
   // Used by the thread that looks.

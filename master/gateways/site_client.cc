@@ -189,11 +189,14 @@ std::vector<discovery::CarriedMessages> site_carried(const SiteAddress& site, co
   for (const auto& one : told) {
     auto& carried = all.emplace_back();
     carried.host = one.host;
-    carried.age = std::chrono::milliseconds(one.ageMs);
-    carried.sent = static_cast<std::uint64_t>(one.sent);
-    carried.received = static_cast<std::uint64_t>(one.received);
-    for (const auto& [end_us, count] : one.roundTrips)
-      carried.round_trips.emplace(end_us, static_cast<std::uint64_t>(count));
+    constexpr std::int64_t oldest_ms = 3'600'000;
+    const auto count_of = [](std::int64_t count) {
+      return static_cast<std::uint64_t>(std::max<std::int64_t>(count, 0));
+    };
+    carried.age = std::chrono::milliseconds(std::clamp<std::int64_t>(one.ageMs, 0, oldest_ms));
+    carried.sent = count_of(one.sent);
+    carried.received = count_of(one.received);
+    for (const auto& [end_us, count] : one.roundTrips) carried.round_trips.emplace(end_us, count_of(count));
   }
   return all;
 }

@@ -52,6 +52,15 @@ TEST(Redactor, HidesWhatTheFilesOfSecretsHold) {
   EXPECT_EQ(redactor.redacted("abc"), "abc");
 }
 
+TEST(Redactor, HidesAnotherKeyThanTheOneItKnows) {
+  const tests::TemporaryFolder folder;
+  std::ofstream(folder / "key.pem") << "-----BEGIN EC PRIVATE KEY-----\nMHcCAQEE\n-----END EC PRIVATE KEY-----\n";
+  Redactor redactor;
+  redactor.add_secret_file(folder / "key.pem");
+  EXPECT_EQ(redactor.redacted("a\n-----BEGIN EC PRIVATE KEY-----\nanother\n-----END EC PRIVATE KEY-----\nMHcCAQEE\n"),
+            "a\n(a private key)\n***\n");
+}
+
 TEST(Redactor, TakesLinesOfAnyLength) {
   const std::string text = "a=" + std::string(1'000'000, 'x') + " password=hunter22";
   EXPECT_THAT(Redactor().redacted(text), Not(HasSubstr("hunter22")));

@@ -53,6 +53,20 @@ TEST_F(Probes, ReadWhatAFileNames) {
   EXPECT_THAT(machine.secret_files, ::testing::ElementsAre("/secret"));
 }
 
+TEST_F(Probes, ReadAnAddressOfIpv6) {
+  const auto machine = read("id: lab\nregistry: embedded\nplugins: /p\nmetrics: {address: \"[::1]:9401\"}\n");
+  ASSERT_EQ(machine.listeners.size(), 2u);
+  EXPECT_EQ(machine.listeners[1].host, "::1");
+}
+
+TEST_F(Probes, FindTheFilesOfTopologiesToo) {
+  std::filesystem::create_directory(folder_ / "topologies");
+  for (const char* file : {"master.yaml", "topologies/echo.yaml", "topologies/notes.txt"})
+    std::ofstream(folder_ / file) << (std::string(file) == "master.yaml" ? "api: {}\n" : "spouts: {}\n");
+  EXPECT_THAT(usual_files(folder_.path()),
+              ::testing::ElementsAre(folder_ / "master.yaml", folder_ / "topologies/echo.yaml"));
+}
+
 TEST_F(Probes, SayWhatIsNoDaemonsFile) {
   read("a: 1\n");
   EXPECT_THAT(found("configuration", file_), HasSubstr("wrong: it is the file of no daemon"));

@@ -88,7 +88,7 @@ def check_new_folders(work, prefix):
     run("ctest", "--test-dir", work / "build", "--output-on-failure", "--no-tests=error")
     plugins = work / "build/greenhouse/plugins"
     run(prefix / "bin/iotcloud", "plugin", "check", plugins / "greenhouse_driver.so")
-    for name in ("alarms", "greenhouse"):
+    for name in ("smooth", "alarms", "greenhouse"):
         run(prefix / "bin/iotcloud-topology", "--check", work / f"build/{name}/plugins/topology.yaml")
     done = subprocess.run([prefix / "bin/iotcloud", "run", plugins / "topology.yaml", "--plugin", plugins / "greenhouse_driver.so",
                            "--property", "period_ms=20", "--seconds", "2"], capture_output=True, text=True)

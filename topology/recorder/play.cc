@@ -144,14 +144,16 @@ const discovery::DriverRecord* find(const RecordedChannel& channel, const PlayOp
 
 std::vector<bool> chosen_channels(const recording::RecordingReader& recording, const PlayOptions& options) {
   const auto& channels = recording.channels();
-  for (const auto& word : options.instances) {
+  const auto check_recorded = [&](const std::string& word) {
     if (std::any_of(channels.begin(), channels.end(),
                     [&](const auto& c) { return recording::names_instance(c, word); }))
-      continue;
+      return;
     std::set<std::string> known;
     for (const auto& channel : channels) known.insert(words(channel));
     throw config::Error(fmt::format("no instance \"{}\" was recorded; there are: {}", word, fmt::join(known, ", ")));
-  }
+  };
+  for (const auto& word : options.instances) check_recorded(word);
+  for (const auto& [recorded, live] : options.to) check_recorded(recorded);
   std::set<std::string> names;
   for (const auto& channel : channels) names.insert(channel.name);
   for (const auto& word : options.channels) {

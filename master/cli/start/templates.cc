@@ -263,10 +263,12 @@ iotcloud apply -f manifest.yaml
 )";
 constexpr const char* readme_bolt = R"(# @NAME@: a bolt of IoTCloud
 )";
-constexpr const char* readme_bolt_run = R"(iotcloud plugin check build/plugins/@NAME@_bolts.so
+constexpr const char* readme_bolt_run =
+    R"(iotcloud run build/plugins/topology.yaml --plugin PREFIX/lib/iotcloud/plugins/loadgen.so
+iotcloud apply -f manifest.yaml
 ```
 
-`@NAME@_bolts.cc` is the bolt `@NAME@.@CLASS@`, for `class` in a topology's file; `@NAME@_bolts_test.cc` is its test in simulated time.
+`@NAME@_bolts.cc` is the bolt `@NAME@.@CLASS@`, for `class` in any topology's file, as in `topology.yaml`; `@NAME@_bolts_test.cc` tests it in simulated time.
 )";
 constexpr const char* readme_topology = R"(# @NAME@: a topology of IoTCloud
 )";
@@ -298,22 +300,20 @@ std::string joined(std::initializer_list<const char*> parts) {
 Templates templates_of(const std::string& kind) {
   Templates files{{".gitignore", "/build/\n"}};
   const bool with_driver = kind == "driver" || kind == "project";
-  const bool with_topology = kind == "topology" || kind == "project";
+  const bool with_topology = kind != "driver";
   if (with_driver) {
     files["@NAME@_driver.cc"] = driver;
     files["@NAME@_driver_test.cc"] = driver_test;
   }
-  if (kind != "driver") {
+  if (with_topology) {
     files["@NAME@_bolts.cc"] = bolts;
     files["@NAME@_bolts_test.cc"] = bolts_test;
+    files["topology.yaml"] = kind == "project" ? topology_of_project : topology_of_loadgen;
   }
-  if (with_topology) files["topology.yaml"] = kind == "project" ? topology_of_project : topology_of_loadgen;
-  files["CMakeLists.txt"] = joined({cmake_head, with_driver ? cmake_driver : "", kind != "driver" ? cmake_bolts : "",
+  files["CMakeLists.txt"] = joined({cmake_head, with_driver ? cmake_driver : "", with_topology ? cmake_bolts : "",
                                     with_topology ? cmake_topology : ""});
-  if (kind != "bolt") {
-    files["manifest.yaml"] = joined(
-        {manifest_head, with_driver ? manifest_driver : manifest_no_driver, with_topology ? manifest_topology : ""});
-  }
+  files["manifest.yaml"] = joined(
+      {manifest_head, with_driver ? manifest_driver : manifest_no_driver, with_topology ? manifest_topology : ""});
   files["README.md"] = kind == "driver"     ? joined({readme_driver, readme_build, readme_driver_run})
                        : kind == "bolt"     ? joined({readme_bolt, readme_build, readme_bolt_run})
                        : kind == "topology" ? joined({readme_topology, readme_build, readme_topology_run})

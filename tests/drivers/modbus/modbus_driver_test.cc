@@ -91,6 +91,11 @@ class Device {
     const std::lock_guard lock(mutex_);
     silent_ = silent;
   }
+  /// Answers as a gateway does in place of a device; 0: as the device.
+  void answer_with(unsigned exception) {
+    const std::lock_guard lock(mutex_);
+    exception_ = exception;
+  }
   int requests() {
     const std::lock_guard lock(mutex_);
     return requests_;
@@ -111,7 +116,8 @@ class Device {
       const int size = modbus_receive(context_, request.data());
       const std::lock_guard lock(mutex_);
       if (size > 0) ++requests_;
-      if (size > 0 && !silent_) modbus_reply(context_, request.data(), size, tables_);
+      if (size > 0 && exception_ != 0) modbus_reply_exception(context_, request.data(), exception_);
+      if (size > 0 && !silent_ && exception_ == 0) modbus_reply(context_, request.data(), size, tables_);
       if (size < 0 && listener_ >= 0) ::close(std::exchange(connection, -1));
     }
     if (listener_ >= 0 && connection >= 0) ::close(connection);
@@ -123,6 +129,7 @@ class Device {
   modbus_t* context_ = nullptr;
   int listener_ = -1;
   bool silent_ = false;
+  unsigned exception_ = 0;
   int requests_ = 0;
   std::thread thread_;
 };
@@ -233,6 +240,25 @@ TEST(Modbus, finds_a_device_again_that_vanished) {
   meter.host().advance(2s);
   EXPECT_EQ(meter.host().metadata()["connection"], "connected");
   EXPECT_EQ(last_reading(meter), json({{"a", 6}}));
+}
+
+TEST(Modbus, takes_a_device_for_away_in_whose_place_a_gateway_answers) {
+  Device device;
+  const int port = tests::free_port();
+  device.serve_tcp(port);
+  MockInstance meter(
+      modbus_plugin(),
+      {{"connect", at(port)}, {"registers", "[{name: a, address: 1}]"}, {"period_ms", "100"}, {"reconnect_ms", "50"}});
+  ASSERT_TRUE(meter.start()) << meter.error();
+  EXPECT_EQ(meter.host().metadata()["connection"], "connected");
+  for (const unsigned exception : {MODBUS_EXCEPTION_GATEWAY_TARGET, MODBUS_EXCEPTION_GATEWAY_PATH}) {
+    device.answer_with(exception);
+    meter.host().advance(100ms);
+    EXPECT_EQ(meter.host().metadata()["connection"], "away");
+    device.answer_with(0);
+    meter.host().advance(2s);
+    EXPECT_EQ(meter.host().metadata()["connection"], "connected");
+  }
 }
 
 TEST(Modbus, takes_a_device_that_does_not_answer_for_away) {

@@ -89,6 +89,12 @@ TEST(Tcp, carries_frames_both_ways_to_a_device_that_listens) {
   EXPECT_EQ(device.read(), std::string("\0\2go", 4));
 }
 
+TEST(Tcp, keeps_no_commands_for_devices_that_connect) {
+  MockInstance plc(tcp_plugin(), {{"listen", "127.0.0.1:0"}, {"while_away", "keep"}});
+  EXPECT_FALSE(plc.start());
+  EXPECT_THAT(plc.error(), ::testing::HasSubstr("\"keep\" is for \"connect\""));
+}
+
 TEST(Tcp, connects_anew_to_a_device_that_comes_back_and_keeps_commands_for_it_when_asked) {
   const tests::LoopbackListener listener;
   MockInstance plc(tcp_plugin(), {{"connect", at(listener)}, {"while_away", "keep"}, {"unsent_bytes", "10"}});

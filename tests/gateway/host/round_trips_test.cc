@@ -32,6 +32,24 @@ TEST(RoundTrips, MessagesOfOneMillisecondAreAnsweredInTurn) {
   EXPECT_THAT(trips.came(100, begin + 3ms), Optional(2600us));
 }
 
+TEST(RoundTrips, AMessageThatWasNotTakenHasNoAnswer) {
+  RoundTrips trips;
+  trips.sent(100, begin);
+  trips.sent(100, begin + 1ms);
+  trips.refused(100);
+  trips.refused(99);
+  EXPECT_THAT(trips.came(100, begin + 2ms), Optional(2ms));
+  EXPECT_EQ(trips.came(100, begin + 3ms), std::nullopt);
+}
+
+TEST(RoundTrips, MessagesMayHaveAnOlderTimeThanThoseBefore) {
+  RoundTrips trips;
+  trips.sent(200, begin);
+  trips.sent(100, begin + 1ms);
+  EXPECT_THAT(trips.came(100, begin + 4ms), Optional(3ms));
+  EXPECT_THAT(trips.came(200, begin + 4ms), Optional(4ms));
+}
+
 TEST(RoundTrips, AnAnswerCountsForAMinuteAndToTheLatestMessages) {
   RoundTrips trips;
   trips.sent(1, begin);

@@ -91,6 +91,7 @@ class Fleet {
     };
     source.carried = [this] {
       const config::MutexLock lock(mutex_);
+      if (away_) throw config::Error("the registry is away");
       return carried_;
     };
     source.worker_page = [this](const auto&, const auto&) {
@@ -366,6 +367,46 @@ TEST_F(ConsoleTest, TellsWhatDriversCarriedASecondAndHowSoonTheyWereAnswered) {
   point = moved();
   EXPECT_EQ(point[2], 0.0) << "a host that began again counts from then on";
   EXPECT_TRUE(point[3].is_null());
+  fleet_.lose_the_registry(true);
+  do {
+    const auto points = next(live, "messages").at("points");
+    point = points.back();
+  } while (!point[1].is_null());
+  EXPECT_TRUE(point[2].is_null()) << "what is not known is no 0";
+}
+
+TEST_F(ConsoleTest, TellsWithinHowMuchTimeSomethingComesAgain) {
+  open();
+  RawClient live(host());
+  listen(live, "/api/live");
+  EXPECT_EQ(next(live, "beat"), Json::parse(R"({"ms":20})"));
+}
+
+TEST_F(ConsoleTest, AWorkerWhosePageCannotBeReadForAWhileIsNoJump) {
+  const auto page = [](int emitted, int failed) {
+    return Json{{"components", {{{"id", "s"}, {"kind", "spout"}}}},
+                {"tasks", {{{"component", "s"}, {"emitted", emitted}, {"failed", failed}}}}}
+        .dump();
+  };
+  fleet_.set_page(page(1'000'000, 70));
+  open();
+  RawClient live(host());
+  listen(live, "/api/live?topology=echo");
+  while (next(live, "series").at("points").empty()) {
+  }
+  fleet_.set_page("<script>");
+  while (next(live, "topology").at("problems").empty()) {
+  }
+  fleet_.set_page(page(1'000'010, 70));
+  Json point;
+  do {
+    const auto points = next(live, "series").at("points");
+    if (!points.empty()) point = points.back();
+  } while (point.is_null() || point[1] == 0.0);
+  EXPECT_LT(point[1].get<double>(), 100'000) << "10 in some 20 ms, not a million";
+  RawClient another(host());
+  listen(another, "/api/live");
+  EXPECT_EQ(next(another, "state").at("losses"), Json::array());
 }
 
 TEST_F(ConsoleTest, TellsAmongWhatIsWrongWhichComponentLosesTuplesUntilAWhileAfterTheLastOne) {

@@ -11,7 +11,6 @@ async function tour(page, name) {
   await until("messages and tuples pass, and are timed", async () =>
     (await page.locator(".series figcaption b").allTextContents()).every((text) => /[1-9]/.test(text)), 120_000);
   await page.waitForSelector(".series canvas");
-  await picture(page, `overview-${name}`);
   await accessibility(page, `the overview, ${name}`);
   await page.goto(`${url}#/fleet`);
   await until("the instances are there", async () => (await page.textContent("#number")) === "6 instances");
@@ -49,6 +48,9 @@ async function tour(page, name) {
   await page.goto(`${url}#/history`);
   await page.waitForSelector("tbody tr");
   await picture(page, `history-${name}`);
+  await page.goto(`${url}#/overview`);  // again: now its series are lines
+  await page.waitForSelector(".series canvas");
+  await picture(page, `overview-${name}`);
 }
 
 const admin = await open(browser);

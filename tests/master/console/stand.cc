@@ -415,6 +415,7 @@ int run(const std::string& tokens, int instances, std::vector<std::string> other
   options.live.look = std::chrono::milliseconds(200);
   options.live.pages = options.live.sample = std::chrono::milliseconds(1'000);
   options.live.remember = std::chrono::milliseconds(2'000);
+  options.live.beat = std::chrono::milliseconds(1'000);
   const Console console(options, source, calls);
   std::cout << console.url() << std::endl;
   for (std::string line; std::getline(std::cin, line);) {

@@ -1,5 +1,5 @@
 // The console's pages over a fleet that is made up: acts and their refusal, thousands of rows, hostile texts, keyboard, a
-// phone, accessibility, and a master that dies.
+// phone, accessibility, and a master that hangs (live.mjs kills one).
 import {readFile} from "node:fs/promises";
 import {accessibility, ask, check, end, launch, logIn, open, options, picture, until} from "./pages.mjs";
 
@@ -179,13 +179,20 @@ await phone.click(".menu");
 check("the menu opens", await phone.locator("nav >> text=Topologies").isVisible());
 await picture(phone, "stand-phone");
 
-// ---- log-out, and a master that dies
+// ---- an address with a wrong selection
+
+await admin.goto(`${url}#/fleet?where=${encodeURIComponent('state == "failed')}`);
+await admin.waitForSelector("#search-problem");
+check("a wrong selection in an address is told with its place", (await admin.textContent("#search-problem")).includes("^"));
+await until("and takes no other figures away", async () => (await admin.textContent(".link")).includes("master-1"));
+
+// ---- log-out, and a master that hangs
 
 await viewer.click("text=Log out");
 await viewer.waitForSelector("input[name=token]");
 await admin.goto(`${url}#/fleet`);
 await admin.waitForSelector(".rows .line");
-await ask("kill");
+await ask("freeze");
 await admin.waitForSelector(".banner[role=alert]");
 check("a page says that the master is silent", (await admin.textContent(".banner")).includes("does not answer"));
 await until("the page goes to the other master", async () => admin.url().startsWith(options.other), 30_000);

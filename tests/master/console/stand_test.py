@@ -5,6 +5,7 @@ usage: stand_test.py CONSOLE_STAND IOTCLOUD [INSTANCES]
 """
 import json
 import queue
+import signal
 import subprocess
 import sys
 import tempfile
@@ -34,6 +35,10 @@ class Stand:
             self.orders.append(json.loads(self.lines.get().removeprefix("ORDER ")))
         return self.orders
 
+    def freeze(self):
+        """It closes no connection, and answers nothing: as a machine that is switched off."""
+        self.process.send_signal(signal.SIGSTOP)
+
     def end(self):
         if self.process.poll() is not None and not self.ended:
             sys.exit(f"wrong: a console has ended with {self.process.returncode}")
@@ -55,7 +60,7 @@ def main():
         def do(words):
             if words == ["orders"]:
                 return first.all_orders()
-            first.end()
+            first.freeze()
             return None
 
         try:

@@ -198,6 +198,9 @@ TEST_F(RecorderTest, SaysWhatTheSystemLacks) {
   };
   EXPECT_THAT(refusal({}), HasSubstr("the system has no replay meter-one; say what takes its place with --to"));
   EXPECT_THAT(refusal({.instances = {"meter-two"}}), HasSubstr("no instance \"meter-two\" was recorded; there are: "));
+  PlayOptions wrong;
+  wrong.to = {{"meter-two", "meter/1"}};
+  EXPECT_THAT(refusal(wrong), HasSubstr("no instance \"meter-two\" was recorded; there are: "));
   EXPECT_THAT(refusal({.channels = {"sttus"}}),
               HasSubstr("no channel \"sttus\" was recorded; there are: heater, reading"));
   EXPECT_THAT(refusal({.channels = {"heater"}}), HasSubstr("channels to drivers are played with --in"));

@@ -19,8 +19,9 @@ async function read(answer: Response): Promise<any> {
   return json;
 }
 
-export async function get(path: string): Promise<any> {
-  return read(await fetch(path, {headers: {Accept: "application/json"}}));
+/** \param limit in ms, after which a master that does not answer counts as away; 0: none */
+export async function get(path: string, limit = 0): Promise<any> {
+  return read(await fetch(path, {headers: {Accept: "application/json"}, signal: limit ? AbortSignal.timeout(limit) : null}));
 }
 
 /** Calls of the console: master/console/console_calls.h. */

@@ -58,9 +58,10 @@ export async function orderRows(verb: "start" | "stop" | "undeploy", rows: Row[]
 }
 
 export function Fleet({where}: {where: string}) {
-  const {rows, rowsComplete, state, rowsVersion} = useKnown();
+  const {rows, rowsComplete, state, rowsVersion, whereProblem} = useKnown();
   const [text, setText] = useState(where);
   const [problem, setProblem] = useState("");
+  const wrong = problem || whereProblem;
   const [by, setBy] = useState<Column>("name");
   const [down, setDown] = useState(false);
   const [group, setGroup] = useState<Group>("none");
@@ -141,7 +142,7 @@ export function Fleet({where}: {where: string}) {
       <form class="search" role="search" onSubmit={search}>
         <label class="grow"><span class="hidden">Which instances</span>
           <input value={text} placeholder='all, or an expression: state == "failed" and contains(gateway, "lab")' spellcheck={false}
-                 autocapitalize="off" aria-invalid={!!problem} aria-describedby="search-problem" onInput={(event) => setText(event.currentTarget.value)} />
+                 autocapitalize="off" aria-invalid={!!wrong} aria-describedby="search-problem" onInput={(event) => setText(event.currentTarget.value)} />
         </label>
         <button type="submit">Show</button>
         <label>Group <select value={group} onChange={(event) => setGroup(event.currentTarget.value as Group)}>
@@ -150,7 +151,7 @@ export function Fleet({where}: {where: string}) {
         <button type="button" onClick={() => save("fleet.csv", "text/csv", csv(
           ["instance", "name", "driver", "gateway", "state", "reason", "since_ms", "made_by", "metadata"], sorted as unknown as Record<string, unknown>[]))}>CSV</button>
       </form>
-      {problem && <pre class="problem" id="search-problem" role="alert">{problem}</pre>}
+      {wrong && <pre class="problem" id="search-problem" role="alert">{wrong}</pre>}
       {map && anyPlace && <WorldMap rows={sorted} lost={lost} chosen={chosen} onChoose={mayAct() ? (keys) => setChosen(new Set(keys)) : null} />}
       {mayAct() && (
         <div class="acts" aria-label="Acts on chosen instances" role="group">

@@ -1,11 +1,11 @@
 // The stream of changes, and what is known by it. One stream for a page; none while the page is hidden, because a browser
 // has few connections to one host, and the master looks at nothing that nobody sees.
-import {get, type Me, type Row, type State, type TopologyPages} from "./api";
+import {get, type Me, Refused, type Row, type State, type TopologyPages} from "./api";
 
 /** A point of the last hour: time in ms, tuples a second, p99 in us. */
 export type Point = [number, number, number | null];
-/** And one of drivers: time in ms, messages a second from them, to them, p99 of their round trips in us. */
-export type MessagesPoint = [number, number, number, number | null];
+/** And one of drivers: time in ms, messages a second from them, to them, p99 of their round trips in us. Null: not known. */
+export type MessagesPoint = [number, number | null, number | null, number | null];
 
 export interface Wanted {
   rows: boolean;
@@ -24,13 +24,15 @@ export interface Known {
   formerTopology: TopologyPages | null;
   connected: boolean;
   silentSince: number;
+  /** Why the instances of `Wanted.where` cannot be told; empty: they can. */
+  whereProblem: string;
   /** Grows with each change of `rows`. */
   rowsVersion: number;
 }
 
 export const known: Known = {
   me: null, state: null, rows: new Map(), rowsComplete: false, points: [], messages: [], topology: null, formerTopology: null,
-  connected: false, silentSince: Date.now(), rowsVersion: 0,
+  connected: false, silentSince: Date.now(), whereProblem: "", rowsVersion: 0,
 };
 
 const listeners = new Set<() => void>();
@@ -58,6 +60,11 @@ let stream: EventSource | null = null;
 let retry = 0;
 let hiddenSince = 0;
 const hiddenLimit = 15_000;
+const answerLimit = 3_000;
+/** When something came last, and within how many ms the master sends something again. A machine that is switched off closes nothing. */
+let heard = 0;
+let beat = 10_000;
+const beatsMissed = 2.5;
 
 export function want(next: Wanted): void {
   const same = wanted && wanted.rows === next.rows && wanted.where === next.where && wanted.topology === next.topology;
@@ -67,6 +74,7 @@ export function want(next: Wanted): void {
     known.rowsComplete = false;
     known.rowsVersion++;
   }
+  if (!wanted || wanted.where !== next.where) known.whereProblem = "";
   if (!wanted || wanted.topology !== next.topology) known.topology = known.formerTopology = null;
   wanted = next;
   open();
@@ -83,24 +91,27 @@ function open(): void {
   close();
   if (!wanted || known.me?.role === "anyone") return;
   const query = new URLSearchParams();
-  if (wanted.rows) query.set("rows", "1");
-  if (wanted.where) query.set("where", wanted.where);
+  if (wanted.rows && !known.whereProblem) query.set("rows", "1");
+  if (wanted.where && !known.whereProblem) query.set("where", wanted.where);
   if (wanted.topology) query.set("topology", wanted.topology);
   const mine = new EventSource(`/api/live?${query}`);
   stream = mine;
+  heard = Date.now();
   const on = (name: string, take: (data: any) => void) =>
     mine.addEventListener(name, (event) => {
       if (stream !== mine) return;
       known.connected = true;
+      heard = Date.now();
       take(JSON.parse((event as MessageEvent).data));
       changed();
     });
   on("state", (data: State) => { known.state = data; });
-  on("rows", (data: {reset: boolean; set: Row[]; gone: {gateway: string; instance: string}[]}) => {
+  on("beat", (data: {ms: number}) => { beat = data.ms; });
+  on("rows", (data: {reset: boolean; set: Row[]; gone: {gateway: string; instance: string}[]; more?: boolean}) => {
     if (data.reset) known.rows = new Map();
     for (const row of data.set) known.rows.set(keyOf(row), row);
     for (const row of data.gone) known.rows.delete(keyOf(row));
-    known.rowsComplete = true;
+    known.rowsComplete = !data.more;
     known.rowsVersion++;
   });
   const together = <T,>(former: T[], data: {reset: boolean; points: T[]}): T[] => (data.reset ? data.points : [...former, ...data.points].slice(-360));
@@ -119,19 +130,38 @@ function open(): void {
     changed();
   };
   mine.onerror = () => {
-    if (stream !== mine) return;
-    if (known.connected) known.silentSince = Date.now();
-    known.connected = false;
-    changed();
-    close();
-    retry = window.setTimeout(() => void reconnect(), 1000);
+    if (stream === mine) lost();
   };
+}
+
+function lost(): void {
+  if (known.connected) known.silentSince = heard;
+  known.connected = false;
+  changed();
+  close();
+  retry = window.setTimeout(() => void reconnect(), 1000);
+}
+
+window.setInterval(() => {
+  if (stream && Date.now() - heard > beatsMissed * beat) lost();
+}, 1000);
+
+/** A stream that is refused does not say why: asks whether the selection is the reason. */
+async function checkWhere(): Promise<void> {
+  if (!wanted?.where) return;
+  try {
+    await get(`/api/live?check=1&where=${encodeURIComponent(wanted.where)}`, answerLimit);
+  } catch (error) {
+    if (!(error instanceof Refused) || error.status !== 400) throw error;
+    known.whereProblem = error.message;
+  }
 }
 
 /** The master was silent: asks it again, and then the consoles of the other masters. */
 async function reconnect(): Promise<void> {
   try {
-    known.me = await get("/api/me");
+    known.me = await get("/api/me", answerLimit);
+    await checkWhere();
     changed();
     return open();
   } catch {
@@ -154,18 +184,19 @@ async function reconnect(): Promise<void> {
 
 export async function whoAmI(): Promise<void> {
   try {
-    known.me = await get("/api/me");
+    known.me = await get("/api/me", answerLimit);
   } catch {
     known.connected = false;
     clearTimeout(retry);
     retry = window.setTimeout(() => void whoAmI(), 1000);
   }
   changed();
-  if (known.me && known.me.role !== "anyone" && wanted && !stream) open();
+  if (known.me?.role === "anyone") close();
+  else if (known.me && wanted && !stream) open();
 }
 
-/** Ends when the state is known, or after so many ms. */
-export function stateCame(limit: number): Promise<void> {
+/** Ends when the state is known. */
+export function stateCame(): Promise<void> {
   return new Promise((resolve) => {
     const look = (): void => {
       if (!known.state) return;
@@ -173,7 +204,6 @@ export function stateCame(limit: number): Promise<void> {
       resolve();
     };
     const forget = subscribe(look);
-    window.setTimeout(() => { forget(); resolve(); }, limit);
     look();
   });
 }

@@ -7,7 +7,7 @@ import {History} from "./history";
 import {Instance} from "./instance";
 import {known, stateCame, want, type Wanted, whoAmI} from "./live";
 import {Overview} from "./overview";
-import {Notices, useKnown} from "./parts";
+import {Notices, tell, useKnown} from "./parts";
 import {Robots, usePages} from "./robots";
 import {Tap} from "./tap";
 import {Topologies} from "./topologies";
@@ -106,6 +106,15 @@ function LogIn() {
   );
 }
 
+async function leave(): Promise<void> {
+  try {
+    await logOut();
+    await whoAmI();
+  } catch (error) {
+    tell(`You are still logged in: ${error instanceof Refused ? error.message : "the master does not answer"}`, "bad");
+  }
+}
+
 const links: [string, string][] = [["overview", "Overview"], ["fleet", "Fleet"], ["topology", "Topologies"], ["tap", "Tap"],
                                    ["way", "Message way"], ["robot", "Robots"], ["history", "History"]];
 
@@ -131,7 +140,7 @@ function Console() {
   useEffect(() => {
     if (me && me.role !== "anyone" && wanted) want(wanted);
     document.title = `${links.find(([name]) => name === page)?.[1] ?? at.path[at.path.length - 1] ?? "Overview"} · IoTCloud`;
-  }, [me?.role, where, topology, page]);
+  }, [me?.role, where, topology, at.path.join("/")]);
   if (!me) return <p class="empty" role="status">Asking the master ...</p>;
   if (me.role === "anyone") return <LogIn />;
   const insteadOf = at.query.get("instead-of");
@@ -160,7 +169,7 @@ function Console() {
           }}>{themes.map((one) => <option key={one}>{one}</option>)}</select>
         </label>
         <span class="who">{me.name} <span class="role">{me.role}</span></span>
-        {me.log_in && <button type="button" onClick={() => void logOut().then(whoAmI)}>Log out</button>}
+        {me.log_in && <button type="button" onClick={() => void leave()}>Log out</button>}
       </header>
       {!connected && (
         <div class="banner" role="alert">
@@ -191,14 +200,15 @@ function Console() {
   );
 }
 
-/** Waits a moment for the first figures, so that they are painted with the frame and not after it. */
+/** Waits 0.2 s at most for the first figures, so that they are painted with the frame and not after it. */
 async function begin(): Promise<void> {
-  await whoAmI();
-  const wanted = wantedAt(place());
-  if (known.me && known.me.role !== "anyone" && wanted) {
+  const asked = whoAmI().then(() => {
+    const wanted = wantedAt(place());
+    if (!known.me || known.me.role === "anyone" || !wanted) return;
     want(wanted);
-    await stateCame(200);
-  }
+    return stateCame();
+  });
+  await Promise.race([asked, new Promise((resolve) => setTimeout(resolve, 200))]);
   render(<Console />, document.getElementById("page")!);
 }
 

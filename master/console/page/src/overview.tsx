@@ -164,8 +164,8 @@ export function Overview() {
         <Tile name="Instances" value={count(state.instances)} bad={!!state.number_of_faults} href="#/fleet"
               more={parts.filter((part) => part.number).map((part) => `${part.number} ${part.name}`).join(", ") || "none"} />
         <Tile name="Topologies" value={topologies.length} more={plural(workers, "worker")} href="#/topology" />
-        <Tile name="Messages from drivers" value={carried ? `${count(carried[1])}/s` : "-"}
-              more={carried ? `${count(carried[2])}/s to them` : "the gateways are being asked"} />
+        <Tile name="Messages from drivers" value={carried?.[1] != null ? `${count(carried[1])}/s` : "-"}
+              more={carried?.[2] != null ? `${count(carried[2])}/s to them` : "not known yet"} />
         <Tile name="Round trip" value={carried?.[3] != null ? duration(carried[3]) : "-"}
               more={carried?.[3] != null ? "99 % of drivers' messages are answered within" : "no driver is answered now"} />
         <Tile name="Tuples from spouts" value={last ? `${count(last[1])}/s` : "-"}
@@ -182,7 +182,7 @@ export function Overview() {
               </li>
             ))}
             {state.number_of_faults > state.faults.length && (
-              <li><a href={`#/fleet?where=${encodeURIComponent('state == "failed"')}`}>
+              <li><a href={counts["lost"] ? "#/fleet" : `#/fleet?where=${encodeURIComponent('state == "failed"')}`}>
                 and {state.number_of_faults - state.faults.length} more instances</a></li>
             )}
           </ul>

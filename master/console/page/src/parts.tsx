@@ -159,7 +159,12 @@ export function useLoaded<T>(part: Part<T>): T | null {
       part.load().then((module) => {
         part.loaded = module.default;
         if (!ended) draw((n) => n + 1);
-      }, () => { if (!ended) again = window.setTimeout(load, 2000); });  // the master is away; the frame says so
+      }, () => { if (!ended) again = window.setTimeout(reload, 2000); });  // the master is away; the frame says so
+    };
+    // A browser may not ask again for a module that it did not get.
+    const reload = (): void => {
+      if (known.connected) location.reload();
+      else again = window.setTimeout(reload, 2000);
     };
     load();
     return () => { ended = true; clearTimeout(again); };
@@ -169,6 +174,10 @@ export function useLoaded<T>(part: Part<T>): T | null {
 
 // ---- pictures
 
+/** A plot's time in seconds, at least; a single point alone would have years around it. */
+const shortestPlot = 60;
+/** With fewer points they are seen, because a line needs two of them that are known. */
+const fewPoints = 10;
 const plots: Part<typeof uPlot> = {load: () => import("./plot"), loaded: null};
 
 function cssColour(name: string): string {
@@ -195,15 +204,15 @@ export function Series({points, at, label, write}: {
                   font: "11px system-ui"};
     const made = new Plot({
       width: element.clientWidth || 300, height: 150, legend: {show: false}, cursor: {y: false},
-      scales: {x: {time: true}, y: {range: (_, __, max) => [0, max > 0 ? max * 1.1 : 1]}},
+      scales: {x: {time: true, range: (_, min, max) => (max ? [Math.min(min, max - shortestPlot), max] : [0, shortestPlot])}, y: {range: (_, __, max) => [0, max > 0 ? max * 1.1 : 1]}},
       axes: [{...axis}, {...axis, size: 62, values: (_, splits) => splits.map(write)}],
-      series: [{}, {stroke: cssColour("--accent"), width: 1.5, fill: cssColour("--accent-soft"), points: {show: false}}],
+      series: [{}, {stroke: cssColour("--accent"), width: 1.5, fill: cssColour("--accent-soft"), points: {show: points.length < fewPoints}}],
     }, [[], []], element);
     plot.current = made;
     const watch = new ResizeObserver(() => made.setSize({width: element.clientWidth, height: 150}));
     watch.observe(element);
     return () => { watch.disconnect(); made.destroy(); plot.current = null; };
-  }, [theme, Plot]);
+  }, [theme, Plot, points.length < fewPoints]);
   useEffect(() => {
     plot.current?.setData([points.map((point) => point[0] / 1000), points.map((point) => point[at] ?? null)]);
   });
