@@ -27,12 +27,12 @@ class Nimbuses(unittest.TestCase):
         cls.place = tempfile.TemporaryDirectory(prefix="iotcloud-storm-")
         cls.addClassCleanup(cls.place.cleanup)
         folder = Path(cls.place.name)
-        shim = folder / "lib" / "iotcloud" / "storm"
-        for made in (folder / "bin", shim):
+        library, classes = (folder / part / "iotcloud" / "storm" for part in ("lib", "share"))
+        for made in (folder / "bin", library, classes):
             made.mkdir(parents=True)
         cls.program = shutil.copy(cls.build / "bin" / "iotcloud-storm", folder / "bin")
-        shutil.copy(cls.library, shim / "libiotcloud_storm.so")
-        with zipfile.ZipFile(shim / "iotcloud-storm.jar", "w") as jar:
+        shutil.copy(cls.library, library / "libiotcloud_storm.so")
+        with zipfile.ZipFile(classes / "iotcloud-storm.jar", "w") as jar:
             jar.writestr("filler", os.urandom(2 << 20))  # several messages' worth
         cls.file = folder / "t.yaml"
         cls.file.write_text("topology.name: t\ntopology.library: %s\nspouts:\n  in: {class: test.Numbers}\n" % cls.library)
