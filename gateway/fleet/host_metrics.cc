@@ -6,7 +6,7 @@ namespace iotcloud::gateway {
 void HostMetrics::put(const std::string& host, int process, std::vector<config::Sample> samples) {
   for (auto& sample : samples) sample.labels["host"] = host;
   const config::MutexLock lock(mutex_);
-  hosts_[host] = {process, config::system_clock().now(), std::move(samples)};
+  hosts_[host] = {process, clock_.now(), std::move(samples)};
 }
 
 void HostMetrics::forget(const std::string& host, int process) {
@@ -24,7 +24,7 @@ void HostMetrics::append(std::vector<config::Sample>& samples) const {
     age.help = "Age of the samples of a driver host";
     age.labels = {{"host", host}};
     age.kind = config::Sample::Kind::gauge;
-    age.value = std::chrono::duration<double>(config::system_clock().now() - told.at).count();
+    age.value = std::chrono::duration<double>(clock_.now() - told.at).count();
     samples.push_back(std::move(age));
   }
 }

@@ -14,6 +14,9 @@ namespace iotcloud::gateway {
 /// host serves no page of its own. Each sample has its host's name in the label `host`. Thread safe.
 class HostMetrics {
  public:
+  /// \param clock outlives this
+  explicit HostMetrics(const config::Clock& clock = config::system_clock()) : clock_(clock) {}
+
   /// \param process the host's process id. Of two hosts with the same name, the samples of the one that called last are
   /// shown.
   void put(const std::string& host, int process, std::vector<config::Sample> samples);
@@ -28,6 +31,7 @@ class HostMetrics {
     config::Clock::Instant at{};
     std::vector<config::Sample> samples;
   };
+  const config::Clock& clock_;
   mutable config::Mutex mutex_;
   std::map<std::string, Told> hosts_ IOTCLOUD_GUARDED_BY(mutex_);
 };

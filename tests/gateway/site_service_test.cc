@@ -18,6 +18,7 @@
 #include <iotcloud/gateway/site_service.h>
 #include <iotcloud/rpc/thrift_client.h>
 #include <iotcloud/security/tokens.h>
+#include <iotcloud/tests/config/hand_clock.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/gateway/gateway_fixture.h>
 #include <iotcloud/tests/rpc/as_nobody.h>
@@ -306,7 +307,8 @@ TEST_F(SiteServiceTest, AChannelIsLookedAtAndAMessageIsHandedToTheDriver) {
 }
 
 TEST_F(SiteServiceTest, WhatDriverHostsHaveCarriedIsTold) {
-  HostMetrics hosts;
+  tests::HandClock clock;
+  HostMetrics hosts(clock);
   const auto source = config::process_metrics().add_source([&](auto& samples) { hosts.append(samples); });
   config::Sample received;
   received.name = "iotcloud_driver_received_total";
@@ -316,12 +318,13 @@ TEST_F(SiteServiceTest, WhatDriverHostsHaveCarriedIsTold) {
   round_trips.record_ns(1'000'000, 2);
   append_round_trips(round_trips, "probe", samples);
   hosts.put("probe.so", 7, samples);
+  clock.advance(std::chrono::milliseconds(1500));
   std::vector<wire::TCarried> told;
   client_->getCarried(told);
   std::erase_if(told, [](const auto& carried) { return carried.host.empty(); });  // of this process
   ASSERT_EQ(told.size(), 1U);
   EXPECT_EQ(told[0].host, "probe.so");
-  EXPECT_GE(told[0].ageMs, 0);
+  EXPECT_EQ(told[0].ageMs, 1500);
   EXPECT_EQ(told[0].received, 3);
   EXPECT_EQ(told[0].roundTrips, (std::map<double, std::int64_t>{{1048.576, 2}}));
 }
