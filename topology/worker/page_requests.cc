@@ -18,6 +18,7 @@ using Json = nlohmann::ordered_json;
 
 /// More samples of a tap would slow the topology down.
 constexpr double most_samples_a_second = 1000;
+constexpr std::size_t most_shown_bytes = 262'144;
 constexpr std::int64_t longest_pause_ms = 3'600'000;
 
 std::string word(const PageQuery& query, const char* key) {
@@ -69,7 +70,8 @@ std::string tap_page(Worker& worker, const PageQuery& query) {
     return "{}";
   }
   const double per_second = std::min(number(query, "rate", 10.0), most_samples_a_second);
-  return worker.taps().poll(word(query, "id"), word(query, "component"), word(query, "stream"), per_second);
+  const auto bytes = std::min(number(query, "bytes", usual_shown_bytes), most_shown_bytes);
+  return worker.taps().poll(word(query, "id"), word(query, "component"), word(query, "stream"), per_second, bytes);
 }
 
 std::string trace_page(Worker& worker, const PageQuery& query) {

@@ -10,9 +10,9 @@ namespace iotcloud::topology {
 
 using PageQuery = std::map<std::string, std::string>;
 
-/// One poll of a tap (TapDesk): `id`; `component`, `stream` and `rate` (samples of a task in a second) in the first
-/// poll; `end` in the last one. \return JSON. \throws std::invalid_argument that says what is wrong with the request;
-/// config::Error before Worker::start()
+/// One poll of a tap (TapDesk): `id`; `component`, `stream`, `rate` (samples of a task in a second) and `bytes` (of
+/// each payload, 262 144 at most) in the first poll; `end` in the last one. \return JSON. \throws std::invalid_argument
+/// that says what is wrong with the request; config::Error before Worker::start()
 std::string tap_page(Worker& worker, const PageQuery& query);
 
 /// One poll for the ways of an instance's messages (MessageTraces): `id`, `driver` (an instance), `every_ms`; `end` in

@@ -16,7 +16,6 @@ namespace {
 
 using Json = nlohmann::ordered_json;
 
-constexpr std::size_t shown_bytes = 16;
 constexpr std::size_t shown_text = 200;
 constexpr std::size_t most_text = std::size_t{64} * 1024;  ///< a larger payload is not looked at
 constexpr std::chrono::seconds sweep_period{1};
@@ -132,8 +131,21 @@ bool is_text(std::string_view bytes) {
   }
 }
 
-Json to_json(const Value& value) {
+std::string hex_of(std::string_view bytes) {
+  constexpr std::string_view digits = "0123456789abcdef";
+  std::string hex;
+  hex.reserve(bytes.size() * 3);
+  for (const char byte : bytes) {
+    if (!hex.empty()) hex += ' ';
+    hex += digits[static_cast<unsigned char>(byte) >> 4U];
+    hex += digits[static_cast<unsigned char>(byte) & 0xFU];
+  }
+  return hex;
+}
+
+Json to_json(const Value& value, std::size_t shown_bytes) {
   struct Show {
+    std::size_t shown_bytes;
     Json operator()(std::monostate) const { return nullptr; }
     Json operator()(bool is) const { return is; }
     Json operator()(std::int64_t number) const { return number; }
@@ -144,16 +156,12 @@ Json to_json(const Value& value) {
     }
     Json operator()(const Payload& payload) const {
       const std::string_view bytes = payload.text();
-      std::string hex;
-      for (const char byte : bytes.substr(0, shown_bytes)) {
-        hex += fmt::format("{}{:02x}", hex.empty() ? "" : " ", static_cast<unsigned char>(byte));
-      }
-      Json shown = {{"bytes", bytes.size()}, {"hex", hex}};
+      Json shown = {{"bytes", bytes.size()}, {"hex", hex_of(bytes.substr(0, shown_bytes))}};
       if (is_text(bytes)) shown["text"] = (*this)(std::string(bytes));
       return shown;
     }
   };
-  return std::visit(Show{}, value);
+  return std::visit(Show{shown_bytes}, value);
 }
 
 }  // namespace
@@ -189,10 +197,10 @@ std::string describe(const Runtime& runtime, const std::string& worker, const st
                   {"tasks", tasks}});
 }
 
-std::string describe(const Tuple& tuple, int task, std::int64_t wall_ms) {
+std::string describe(const Tuple& tuple, int task, std::int64_t wall_ms, std::size_t shown_bytes) {
   Json fields = Json::object();
   for (std::size_t i = 0; i < tuple.size(); ++i) {
-    fields[i < tuple.fields().size() ? tuple.fields()[i] : std::to_string(i)] = to_json(tuple.at(i));
+    fields[i < tuple.fields().size() ? tuple.fields()[i] : std::to_string(i)] = to_json(tuple.at(i), shown_bytes);
   }
   return to_text({{"time_ms", wall_ms},
                   {"task", task},
@@ -205,6 +213,7 @@ std::string describe(const Tuple& tuple, int task, std::int64_t wall_ms) {
 struct TapDesk::Entry {
   config::Mutex mutex;
   std::deque<std::string> samples IOTCLOUD_GUARDED_BY(mutex);
+  std::size_t bytes IOTCLOUD_GUARDED_BY(mutex) = 0;  ///< of the samples
   std::uint64_t missed IOTCLOUD_GUARDED_BY(mutex) = 0;
   config::Clock::Instant last_poll{};  ///< guarded by the desk's mutex
   /// For a tap of one stream: when each task's next sample is due.
@@ -233,20 +242,21 @@ TapDesk::~TapDesk() {
 }
 
 std::string TapDesk::poll(const std::string& id, const std::string& component, const std::string& stream,
-                          double per_second) {
-  const EntryPtr entry = find(id, component, stream, per_second);
+                          double per_second, std::size_t shown_bytes) {
+  const EntryPtr entry = find(id, component, stream, per_second, shown_bytes);
   std::deque<std::string> samples;
   std::uint64_t missed = 0;
   {
     const config::MutexLock lock(entry->mutex);
     samples.swap(entry->samples);
+    entry->bytes = 0;
     missed = std::exchange(entry->missed, 0);
   }
   return fmt::format("{{\"samples\":[{}],\"missed\":{}}}", fmt::join(samples, ","), missed);
 }
 
 TapDesk::EntryPtr TapDesk::find(const std::string& id, const std::string& component, const std::string& stream,
-                                double per_second) {
+                                double per_second, std::size_t shown_bytes) {
   const config::MutexLock lock(mutex_);
   EntryPtr& entry = taps_[id];
   if (entry) {
@@ -260,7 +270,7 @@ TapDesk::EntryPtr TapDesk::find(const std::string& id, const std::string& compon
       throw std::invalid_argument(fmt::format("{} taps are open, which is the limit", options_.most_taps));
     auto made = std::make_shared<Entry>();
     made->last_poll = clock_.now();
-    const auto call = [this, to = made.get(), stream, per_second](const Tuple& tuple, int task) {
+    const auto call = [this, to = made.get(), stream, per_second, shown_bytes](const Tuple& tuple, int task) {
       if (!stream.empty()) {
         if (tuple.source_stream() != stream) return;
         const auto now = clock_.now();
@@ -269,12 +279,16 @@ TapDesk::EntryPtr TapDesk::find(const std::string& id, const std::string& compon
         to->next[task] =
             now + std::chrono::duration_cast<std::chrono::nanoseconds>(std::chrono::duration<double>(1 / per_second));
       }
-      std::string sample = describe(tuple, task, clock_.wall_ms());
+      std::string sample = describe(tuple, task, clock_.wall_ms(), shown_bytes);
       const config::MutexLock sample_lock(to->mutex);
+      to->bytes += sample.size();
       to->samples.push_back(std::move(sample));
-      if (to->samples.size() <= options_.most_samples) return;
-      to->samples.pop_front();
-      ++to->missed;
+      while (to->samples.size() > options_.most_samples ||
+             (to->bytes > options_.most_sample_bytes && to->samples.size() > 1)) {
+        to->bytes -= to->samples.front().size();
+        to->samples.pop_front();
+        ++to->missed;
+      }
     };
     // The runtime limits the rate of all streams together. For a tap of one stream this class does it, so that other
     // streams' tuples do not use the rate up.

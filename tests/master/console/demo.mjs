@@ -27,6 +27,9 @@ async function shows(name, colorScheme) {
   check("the depth picture is there", /nearest \d\.\d\d m/.test(await frame.textContent("figcaption")));
   await accessibility(frame, `the robot's page, ${name}`);
   await picture(page, `${options.name}-${name}`);
+  await page.goto(`${options.url}#/tap?topology=turtlebot_follower&component=kinect_receive`);
+  const tuple = page.locator(".messages li");
+  await until("a stream's depth frames are pictures", async () => /nearest \d\.\d\d m/.test((await tuple.count()) ? await tuple.first().textContent() : ""));
   check("the page had no fault", page.faults.length === 0, page.faults);
   await page.context().close();
 }

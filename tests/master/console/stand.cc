@@ -332,13 +332,14 @@ class StandCalls final : public ConsoleCalls {
       return "{}";
     }
     const auto component = taps_.try_emplace(word("id"), word("component")).first->second;
-    return Json{{"missed", 0},
-                {"samples",
-                 {{{"time_ms", begun_ms},
-                   {"task", 1},
-                   {"source", component},
-                   {"stream", word("stream").empty() ? "default" : word("stream")},
-                   {"fields", {{"x", hostile}, {"taps", taps_.size()}}}}}}}
+    return Json{
+        {"missed", 0},
+        {"samples",
+         {{{"time_ms", begun_ms},
+           {"task", 1},
+           {"source", component},
+           {"stream", word("stream").empty() ? "default" : word("stream")},
+           {"fields", {{"x", hostile}, {"taps", taps_.size()}, {"data", {{"bytes", 3}, {"hex", "89 50 ff"}}}}}}}}}
         .dump();
   }
 

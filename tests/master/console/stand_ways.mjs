@@ -122,7 +122,9 @@ export async function wayAndTroubles(page, url) {
   await until("tuples of one stream are there", async () => (await message.count()) && (await message.first().textContent()).includes("decode alerts"));
   await page.goto(`${url}#/tap?topology=follow&component=kinect`);
   await until("another component's tap is another one", async () => (await message.count()) && (await message.first().textContent()).includes("kinect default"));
-  await until("the tap that was left has ended", async () => (await message.count()) && (await message.first().textContent()).includes('"taps": 1'));
+  await until("the tap that was left has ended", async () => (await message.count()) && (await message.first().textContent()).includes("taps: 1"));
+  check("bytes of a tuple are shown as such", (await message.first().locator(".hex").textContent()) === "89 50 ff" && (await message.first().textContent()).includes("data, 3 B"),
+        await message.first().textContent());
   await page.goto(`${url}#/topology/follow`);
   const units = page.locator("section[aria-label='Who reads what']");
   await units.locator("button").click();

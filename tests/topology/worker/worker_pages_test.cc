@@ -198,6 +198,28 @@ TEST(WorkerPages, ShowTuplesReadablyWithPayloadsAsSizeAndFirstBytes) {
   EXPECT_EQ(sample["fields"]["data"]["text"], "0123456789abcdefXYZ") << "it is text";
 }
 
+TEST(WorkerTaps, ShowAsManyBytesOfPayloadsAsWereAskedFor) {
+  Paged paged;
+  const auto samples = [&] { return json::parse(paged.desk->poll("a", "in", "", 1e9, 18)); };
+  samples();
+  paged.put(7, 7);
+  EXPECT_EQ(samples()["samples"][0]["fields"]["data"]["hex"], "30 31 32 33 34 35 36 37 38 39 61 62 63 64 65 66 58 59");
+}
+
+TEST(WorkerTaps, KeepNoMoreBytesThanTheyMayButTheLatestSample) {
+  Paged paged;
+  paged.desk.emplace(*paged.runtime, TapDesk::Options{.clock = &paged.bench.clock, .most_sample_bytes = 10});
+  paged.samples("a", "in");
+  for (int i = 1; i <= 3; ++i) {
+    paged.bench.clock.advance(1s);
+    paged.put(i, i);
+  }
+  const auto page = paged.samples("a", "in");
+  ASSERT_THAT(page["samples"], SizeIs(1));
+  EXPECT_EQ(page["samples"][0]["fields"]["value"], 3);
+  EXPECT_EQ(page["missed"], 2);
+}
+
 TEST(WorkerTaps, GiveEachSampleOnceAndKeepTheNewestWhenNobodyFetches) {
   Paged paged;
   paged.samples("a", "pass");

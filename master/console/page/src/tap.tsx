@@ -11,12 +11,15 @@ const kept = 100, keptPictures = 12;
 const lookName = `tap-${Math.random().toString(36).slice(2)}`;
 const pictureKinds: [string, number[]][] = [["image/png", [0x89, 0x50, 0x4e, 0x47]], ["image/jpeg", [0xff, 0xd8, 0xff]]];
 
-interface Seen {
+interface Bytes {
+  payload: Uint8Array;
+  /** All of them are there. */
+  whole: boolean;
+}
+interface Seen extends Bytes {
   key: string;
   time_ms: number;
   size: number;
-  payload: Uint8Array;
-  whole: boolean;
   properties: Record<string, string>;
 }
 
@@ -47,7 +50,7 @@ function Picture({payload, kind}: {payload: Uint8Array; kind: string}) {
   return url ? <img src={url} alt="The message's picture" class="picture" /> : null;
 }
 
-function Payload({of}: {of: Seen}) {
+function Payload({of}: {of: Bytes}) {
   const kind = of.whole && pictureKinds.find(([, magic]) => magic.every((byte, index) => of.payload[index] === byte));
   if (kind) return <Picture payload={of.payload} kind={kind[0]} />;
   if (of.whole && looksLikeDepth(of.payload)) return <Depth payload={of.payload} />;
@@ -106,11 +109,28 @@ function ChannelTap({gateway, instance, channel}: {gateway: string; instance: st
   );
 }
 
+interface Field {
+  name: string;
+  text: string;
+  /** Instead of a text. */
+  bytes?: Bytes;
+}
+
+/** A worker tells of a payload how long it is, and its first bytes (topology/worker/pages.h). */
+function fieldOf([name, value]: [string, any]): Field {
+  const {bytes: size, hex, text} = value ?? {};
+  const shown = typeof text === "string" ? text : value;
+  if (typeof size !== "number" || typeof hex !== "string" || shown === text)
+    return {name, text: typeof shown === "string" ? shown : JSON.stringify(shown)};
+  const payload = Uint8Array.from(hex ? hex.split(" ") : [], (digits) => parseInt(digits, 16));
+  return {name, text: `, ${bytes(size)}`, bytes: {payload, whole: payload.length === size}};
+}
+
 /** \param stream only its tuples; empty: all */
 function TupleTap({topology, component, stream}: {topology: string; component: string; stream: string}) {
   const {state} = useKnown();
   const workers = state?.topologies.find((one) => one.name === topology)?.workers.map((worker) => worker.name) ?? [];
-  const [seen, setSeen] = useState<{key: number; worker: string; text: string; time_ms: number; stream: string}[]>([]);
+  const [seen, setSeen] = useState<{key: number; worker: string; fields: Field[]; time_ms: number; stream: string}[]>([]);
   const [problem, setProblem] = useState("");
   const [paused, setPaused] = useState(false);
   const number = useRef(0);
@@ -121,12 +141,13 @@ function TupleTap({topology, component, stream}: {topology: string; component: s
   const poll = async (): Promise<void> => {
     for (const worker of workers) {
       try {
-        const target = targetOf({component, stream, rate: "5"});
+        const target = targetOf({component, stream, rate: "5", bytes: "131072"});
         const got = await call("worker", {topology, worker, target});
         setProblem("");
         const fresh = got.samples.map((sample: any) => ({key: ++number.current, worker, time_ms: sample.time_ms, stream: `${sample.source} ${sample.stream}`,
-                                                         text: JSON.stringify(sample.fields, null, 1)}));
-        if (fresh.length) setSeen((all) => [...fresh.reverse(), ...all].slice(0, kept));
+                                                         fields: Object.entries(sample.fields).map(fieldOf)}));
+        const large = fresh.some((tuple: {fields: Field[]}) => tuple.fields.some((field) => field.bytes?.whole && field.bytes.payload.length > 4096));
+        if (fresh.length) setSeen((all) => [...fresh.reverse(), ...all].slice(0, large ? keptPictures : kept));
       } catch (error) {
         setProblem(error instanceof Refused ? error.message : "the master does not answer");
       }
@@ -143,7 +164,9 @@ function TupleTap({topology, component, stream}: {topology: string; component: s
       {problem && <p class="problem" role="alert">{problem}</p>}
       {!seen.length ? <Empty>Nothing has passed yet.</Empty> : (
         <ol class="messages">{seen.map((tuple) => (
-          <li key={tuple.key}><header>{time(tuple.time_ms)} · {tuple.stream}{workers.length > 1 ? ` · ${tuple.worker}` : ""}</header><pre>{tuple.text}</pre></li>))}</ol>
+          <li key={tuple.key}><header>{time(tuple.time_ms)} · {tuple.stream}{workers.length > 1 ? ` · ${tuple.worker}` : ""}</header>
+            {tuple.fields.map((field) => field.bytes ? <div key={field.name}><span class="quiet">{field.name}{field.text}</span><Payload of={field.bytes} /></div>
+              : <pre key={field.name}>{field.name}: {field.text}</pre>)}</li>))}</ol>
       )}
     </Panel>
   );
