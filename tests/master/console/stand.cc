@@ -50,7 +50,7 @@ class Fleet {
                      : number % 50 == 8 ? DriverState::inactive
                                         : DriverState::active;
       if (driver.state == DriverState::failed) driver.reason = "the device does not answer";
-      driver.since_ms = begun_ms + number * 1000;
+      driver.since_ms = begun_ms + std::int64_t{number} * 1000;
       driver.metadata = {{"site", number % 2 == 0 ? "lab" : "roof"}};
       if (number % 2 == 0) {  // each at a place of its own, but for 4 and 6
         const int place = number == 6 ? 4 : number;
@@ -262,7 +262,7 @@ class StandCalls final : public ConsoleCalls {
           .dump();
     }
     if (call == "log") {
-      const bool first = given.at("position") == "";
+      const bool first = given.at("position").get<std::string>().empty();
       return Json{{"text", first ? "a line\n" + hostile + "\n" : ""}, {"position", "1"}}.dump();
     }
     if (call == "look" && given.value("every_ms", 0) > 0)

@@ -178,7 +178,7 @@ TEST_F(RecorderTest, PlaysIntoTheChannelsOfARunningSystem) {
   EXPECT_EQ(result.played.messages, std::uint64_t{readings});
   EXPECT_EQ(result.confirmed, std::uint64_t{readings});
   EXPECT_THAT(result.others, ::testing::IsEmpty());
-  ASSERT_TRUE(recorded(2 * readings));
+  ASSERT_TRUE(recorded(std::uint64_t{2} * readings));
   recorder.close();
   auto lines = lines_of(folder_ / "new.mcap");
   expect_same({lines.begin() + readings, lines.end()}, lines_of(file_));

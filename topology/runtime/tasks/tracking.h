@@ -158,7 +158,7 @@ void for_each_trace(const TupleCell& cell, Call&& call) {
 
 // All that a tuple of one value and one receiver needs is in two cache lines. The values, which are the last member,
 // have room for four.
-static_assert(alignof(TupleCell) == 64 && sizeof(detail::TupleData) - 3 * sizeof(Value) <= 2 * 64);
+static_assert(alignof(TupleCell) == 64 && sizeof(detail::TupleData) - 3 * sizeof(Value) <= 128);
 
 using CellList = FlatList<TupleCell*>;
 
