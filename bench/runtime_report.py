@@ -178,13 +178,14 @@ def numbered(programs, report, scale, tracked, most):
 
 def latency(programs, report, scale, dag, tracked, most, load):
     """Measures latency at a part of each engine's highest rate: from the time at which an item should have been sent to
-    the end of the last task (or to the ack)."""
+    the end of the last task (or to the ack). Plain calls are slowed down to our highest rate: what they have, the machine does."""
     def options_of(engine):
-        rate = most[engine] * load / 100
-        return ["--dag", dag, "--rate", f"{rate:.0f}", "--warm-up", 0.5, "--seconds", scale.seconds, *["--tracked"] * tracked]
+        highest = most[OURS if engine == CALLS else engine]
+        return ["--dag", dag, "--rate", f"{highest * load / 100:.0f}", "--warm-up", 0.5, "--seconds", scale.seconds,
+                *["--tracked"] * tracked, *(["--most", f"{highest:.0f}"] if engine == CALLS else [])]
 
     name = title(dag, tracked)
-    lines = turns(programs, report, scale, f"{name}: at {load} % load", engines(programs, CALLS, BEFORE), scale.latency_rounds,
+    lines = turns(programs, report, scale, f"{name}: at {load} % load", engines(programs, BEFORE), scale.latency_rounds,
                   options_of)
     for quantile in ("p50", "p99", "max"):
         report.compare(f"{name}: {quantile} at {load} % load", "us",

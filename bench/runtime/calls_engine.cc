@@ -1,5 +1,8 @@
 // The DAGs as plain calls on one thread: no queues, no other core, no acks. This is the cost of the work itself. At a
-// low rate it is the limit for a runtime that runs a tuple to completion on the thread that brought it.
+// low rate it is the limit for a runtime that runs a tuple to completion on the thread that brought it. Slowed down to
+// the highest rate of another engine (--most), it shows which latency that engine would have if nothing but the machine
+// held it up: when the machine stops the thread for a while, what came meanwhile waits until it is worked off.
+#include <algorithm>
 #include <functional>
 
 #include <iotcloud/bench/runtime/measure.h>
@@ -68,6 +71,11 @@ class Split final : public Stage {
 class CallsEngine final : public Engine {
  public:
   explicit CallsEngine(Workload& work) : work_(work), sink_(work), counts_{{work, 0}, {work, 1}} {
+    if (work.options.most > 0) {
+      const double item_ns = 1e9 * static_cast<double>(results_of_item(work.options.dag)) / work.options.most;
+      items_of_step_ = std::max<std::uint64_t>(1, static_cast<std::uint64_t>(least_step_ns / item_ns));
+      step_ns_ = static_cast<std::int64_t>(static_cast<double>(items_of_step_) * item_ns);
+    }
     const bool words = work.options.dag == Dag::words;
     const std::size_t width = words ? 2 : work.options.dag == Dag::fan ? 4 : 1;
     for (std::size_t i = 0; i < width; ++i) {
@@ -80,7 +88,14 @@ class CallsEngine final : public Engine {
   }
   void pump() override {
     const Dag dag = work_.options.dag;
-    while (work_.feed.due()) {
+    std::int64_t began_ns = now_ns();
+    for (std::uint64_t taken = 0; work_.feed.due(); ++taken) {
+      if (step_ns_ > 0 && taken == items_of_step_) {
+        while (now_ns() - began_ns < step_ns_) {
+        }
+        began_ns = now_ns();
+        taken = 0;
+      }
       const std::uint64_t n = work_.feed.take();
       // The source owns its item, as in every engine.
       const std::string text = dag == Dag::words ? work_.sentences[n] : std::string();
@@ -95,6 +110,10 @@ class CallsEngine final : public Engine {
   Sink sink_;
   Count counts_[2];
   std::vector<std::unique_ptr<Stage>> second_;
+  // If the calls are slowed down: after so many items the thread waits until so much time has passed since the last wait.
+  static constexpr double least_step_ns = 5000;  // the clock is read seldom enough to cost nothing
+  std::uint64_t items_of_step_ = 0;
+  std::int64_t step_ns_ = 0;
 };
 
 }  // namespace

@@ -16,7 +16,7 @@ namespace {
 
 constexpr const char* usage_text =
     "usage: %s [--dag chain|words|fan|payload] [--tracked] [--rate RESULTS_A_SECOND] [--seconds S] [--warm-up S] "
-    "[--threads N] [--sources 1|2] [--numbered]\n       %s --print-sentences\n";
+    "[--threads N] [--sources 1|2] [--numbered] [--most RESULTS_A_SECOND]\n       %s --print-sentences\n";
 
 std::optional<Options> parse(int argc, char** argv) {
   Options options;
@@ -32,6 +32,8 @@ std::optional<Options> parse(int argc, char** argv) {
       options.dag_name = value;
     } else if (name == "--rate") {
       options.rate = std::strtod(value, nullptr);
+    } else if (name == "--most") {
+      options.most = std::strtod(value, nullptr);
     } else if (name == "--seconds") {
       options.seconds = std::strtod(value, nullptr);
     } else if (name == "--warm-up") {
