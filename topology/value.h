@@ -83,7 +83,15 @@ class Values {
     using Plain = std::decay_t<T>;
     Value* const to = data_ + size_;
     if constexpr (std::is_same_v<Plain, Value>) {
-      if (!copy_plain(value, to)) new (to) Value(std::forward<T>(value));
+      if (auto* payload = std::get_if<Payload>(&value)) {
+        if constexpr (std::is_lvalue_reference_v<T>) {
+          new (to) Value(std::in_place_type<Payload>, *payload);
+        } else {
+          new (to) Value(std::in_place_type<Payload>, std::move(*payload));
+        }
+      } else if (!copy_plain(value, to)) {
+        new (to) Value(std::forward<T>(value));
+      }
     } else if constexpr (std::is_same_v<Plain, bool> || std::is_same_v<Plain, std::monostate> ||
                          std::is_same_v<Plain, Payload>) {
       new (to) Value(std::forward<T>(value));
@@ -102,10 +110,13 @@ class Values {
   [[gnu::always_inline]] static void destroy(Value& value) noexcept {
     if (auto* text = std::get_if<std::string>(&value)) {
       std::destroy_at(text);
+    } else if (auto* payload = std::get_if<Payload>(&value)) {
+      destroy_payload(*payload);
     } else {
       destroy_other(value);
     }
   }
+  [[gnu::noinline]] static void destroy_payload(Payload& payload) noexcept { std::destroy_at(&payload); }
   [[gnu::noinline]] static void destroy_other(Value& value) noexcept { value.~Value(); }
 
   /// Copies a plain value without the table of functions that std::variant's own copy uses; most values are plain, and
@@ -138,6 +149,9 @@ class Values {
       new (to) Value(*number);
     } else if (auto* text = std::get_if<std::string>(from)) {
       relocate_text(*text, to);
+    } else if (auto* payload = std::get_if<Payload>(from)) {
+      new (to) Value(std::in_place_type<Payload>, std::move(*payload));
+      std::destroy_at(payload);
     } else {
       relocate_other(from, to);
     }
