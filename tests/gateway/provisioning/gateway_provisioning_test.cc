@@ -115,10 +115,7 @@ TEST_F(ProvisioningGatewayTest, holds_what_is_found_while_it_drains) {
   start();
   discovery::put(*registry_, paths_.gateway_draining("gw"_gateway), encode(discovery::DrainRecord{}));
   TestFinder::find("7");
-  ASSERT_TRUE(eventually([&] {
-    auto finder = record(id("eye"), "finder");
-    return finder && finder->metadata["found"] == "1";
-  }));
+  ASSERT_TRUE(eventually([&] { return record(id("eye"), "finder")->metadata["found"] == "1"; }));
   EXPECT_FALSE(record(id("p-7")));
   registry_->remove(paths_.gateway_draining("gw"_gateway));
   EXPECT_TRUE(comes_to(id("p-7"), DriverState::active));

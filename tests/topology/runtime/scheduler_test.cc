@@ -1,5 +1,6 @@
 // The scheduler alone, with things to run that are no tasks of a topology.
 #include <functional>
+#include <latch>
 #include <string>
 #include <thread>
 #include <vector>
@@ -18,6 +19,7 @@ namespace {
 using namespace std::chrono_literals;
 using testing::ElementsAre;
 using testing::IsEmpty;
+using testing::UnorderedElementsAre;
 
 /// Time stands still unless a test moves it.
 class HandClock final : public config::Clock {
@@ -33,8 +35,8 @@ class HandClock final : public config::Clock {
 /// Each slice is a call of the test's.
 class Job final : public Runnable {
  public:
-  Job(Executors& executors, std::function<bool(Lane&)> work, Role role = Role::worker)
-      : Runnable(executors, role), work_(std::move(work)) {}
+  Job(Executors& executors, std::function<bool(Lane&)> work, Role role = Role::worker, int home = anywhere)
+      : Runnable(executors, role, home), work_(std::move(work)) {}
   bool slice(Lane& lane) override {
     const OwnCall own(lane, *this);
     return work_(lane);
@@ -108,7 +110,7 @@ TEST_F(SchedulerTest, WhatASliceHasTakenRunsNextAndNobodyElseMayTakeIt) {
     EXPECT_TRUE(scheduler_.take(taken));
     EXPECT_FALSE(scheduler_.take(taken));
     scheduler_.schedule(taken);  // it will run anyway
-    scheduler_.run_taken(taken, true);
+    scheduler_.run_taken(taken, true, false);
     EXPECT_FALSE(scheduler_.idle());
     done_.push_back("ahead");
     return false;
@@ -118,7 +120,7 @@ TEST_F(SchedulerTest, WhatASliceHasTakenRunsNextAndNobodyElseMayTakeIt) {
   EXPECT_THAT(done_, ElementsAre("ahead", "taken", "behind"));
   EXPECT_TRUE(scheduler_.idle());
   EXPECT_TRUE(scheduler_.take(taken));  // outside of slices: it waits for the pool
-  scheduler_.run_taken(taken, true);
+  scheduler_.run_taken(taken, true, false);
   scheduler_.run_until_idle();
   EXPECT_EQ(done_.back(), "taken");
 }
@@ -188,6 +190,77 @@ TEST_F(SchedulerTest, WithOneExecutorASecondJobStandsAsideUntilTheFirstIsDone) {
   scheduler_.release(aside, false);
   scheduler_.run_until_idle();
   EXPECT_THAT(done_, ElementsAre("first", "aside"));
+}
+
+/// A pool of two threads. The first job stays on one of them, or this one has never been awake; the second job runs `act` on the
+/// other one.
+class SchedulerHomesTest : public SchedulerTest {
+ protected:
+  void run(bool both_awake, const std::function<void()>& act) {
+    std::latch began(1), may_end(1), ended(1);
+    Job first(many_, [&](Lane&) {
+      first_thread_ = std::this_thread::get_id();
+      began.count_down();
+      may_end.wait();
+      return false;
+    });
+    Job second(many_, [&](Lane&) {
+      second_thread_ = std::this_thread::get_id();
+      act();
+      ended.count_down();
+      return false;
+    });
+    for (Job* job : {&first, &second, &home_0_, &home_1_, &homeless_}) pool_.release(*job, false);
+    pool_.start();
+    if (both_awake) {
+      pool_.schedule(first);
+      began.wait();
+    }
+    pool_.schedule(second);
+    ended.wait();
+    may_end.count_down();
+    ASSERT_TRUE(pool_.wait_idle(std::chrono::steady_clock::now() + 60s, [] { return true; }));
+    pool_.halt();
+    pool_.join();
+  }
+  std::function<bool(Lane&)> tell(std::thread::id& thread) {
+    return [&thread](Lane&) {
+      thread = std::this_thread::get_id();
+      return false;
+    };
+  }
+  std::thread::id first_thread_, second_thread_, thread_of_0_, thread_of_1_, thread_of_homeless_;
+  Scheduler pool_{2, 1h, 1h, [](Scheduler& scheduler) { return std::make_unique<Lane>(scheduler); }, timers_};
+  Job home_0_{many_, tell(thread_of_0_), Runnable::Role::worker, 0};
+  Job home_1_{many_, tell(thread_of_1_), Runnable::Role::worker, 1};
+  Job homeless_{many_, tell(thread_of_homeless_)};
+};
+
+TEST_F(SchedulerHomesTest, WhoHasMuchToDoRunsAtHomeWhileThatThreadIsAwake) {
+  run(true, [&] {
+    for (Job* job : {&home_0_, &home_1_, &homeless_}) pool_.schedule(*job, true);
+  });
+  EXPECT_THAT((std::vector{thread_of_0_, thread_of_1_}), UnorderedElementsAre(first_thread_, second_thread_));
+  EXPECT_EQ(thread_of_homeless_, second_thread_);
+}
+
+TEST_F(SchedulerHomesTest, WhoHasLittleToDoRunsWhereItBecameReady) {
+  run(true, [&] {
+    for (Job* job : {&home_0_, &home_1_}) pool_.schedule(*job);
+  });
+  EXPECT_EQ(thread_of_0_, second_thread_);
+  EXPECT_EQ(thread_of_1_, second_thread_);
+}
+
+TEST_F(SchedulerHomesTest, WhoseHomeIsAsleepRunsWhereItBecameReady) {
+  run(false, [&] {
+    for (Job* job : {&home_0_, &home_1_}) {
+      ASSERT_TRUE(pool_.take(*job));
+      pool_.run_taken(*job, false, true);
+    }
+  });
+  EXPECT_EQ(thread_of_0_, second_thread_);
+  EXPECT_EQ(thread_of_1_, second_thread_);
 }
 
 TEST_F(SchedulerTest, AJobThatHangsIsToldOnceInEachSlice) {

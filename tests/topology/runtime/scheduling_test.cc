@@ -47,6 +47,27 @@ TEST(Scheduling, ATasksCallsNeverOverlapUnderManyWakers) {
   EXPECT_EQ(overlaps, 0);
 }
 
+/// A wake that finds the spout at its limit does not run it: what ends that must see that there is something new.
+TEST(Scheduling, NoWakeIsLostBesideTheLimitOfPending) {
+  auto source = std::make_shared<Source>();
+  TopologyBuilder builder;
+  builder.set_spout("in", source_spout(source));
+  builder.set_bolt("pass", pass_bolt()).shuffle_grouping("in");
+  builder.set_bolt("out", sink_bolt(std::make_shared<Sink>())).shuffle_grouping("pass");
+  config::Metrics metrics;
+  auto options = with_threads(2, metrics);
+  options.max_spout_pending = 1;
+  options.caller_slice = 0us;  // the pool runs what the wake begins
+  Runtime runtime(builder.build("limited"), options);
+  runtime.start();
+  std::size_t sent = 0;
+  for (int round = 0; round < 300; ++round) {
+    for (int i = 0; i < 3; ++i, ++sent) source->put(Values(i));
+    ASSERT_TRUE(eventually([&] { return source->acked().size() == sent; })) << "round " << round;
+  }
+  EXPECT_TRUE(runtime.stop(120s));
+}
+
 TEST(Scheduling, HandsTheRestToThePoolWhileABoltIsLong) {
   auto source = std::make_shared<Source>();
   std::latch may_end(1);

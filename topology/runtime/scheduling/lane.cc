@@ -36,10 +36,14 @@ std::int64_t ReadyList::worth_moving_ns() const {
 
 void Lane::push(Runnable& task) {
   const config::MutexLock lock(mutex_);
+  push_locked(task, now_ns);
+}
+
+void Lane::push_locked(Runnable& task, std::int64_t since_ns) {
   if (task.role_ == Runnable::Role::worker) {
     ready_.push(task);
   } else {
-    if (sources_.empty()) sources_since_ns_ = now_ns;
+    if (sources_.empty()) sources_since_ns_ = since_ns;
     sources_.push(task);
   }
   ready_count_.store(ready_.size() + sources_.size(), std::memory_order_relaxed);
@@ -48,10 +52,32 @@ void Lane::push(Runnable& task) {
 Runnable* Lane::pop() {
   if (ready_count() == 0) return nullptr;
   const config::MutexLock lock(mutex_);
+  return pop_locked();
+}
+
+Runnable* Lane::pop_locked() {
   const bool source = ready_.empty() || (!sources_.empty() && now_ns - sources_since_ns_ > longest_wait_ns);
   Runnable* task = source ? sources_.pop() : ready_.pop();
   if (source) sources_since_ns_ = now_ns;
   ready_count_.store(ready_.size() + sources_.size(), std::memory_order_relaxed);
+  return task;
+}
+
+void Lane::wake() {
+  const config::MutexLock lock(mutex_);
+  awake_ = true;
+}
+
+bool Lane::push_if_awake(Runnable& task) {
+  const config::MutexLock lock(mutex_);
+  if (awake_) push_locked(task, real_ns());
+  return awake_;
+}
+
+Runnable* Lane::pop_or_sleep() {
+  const config::MutexLock lock(mutex_);
+  Runnable* task = pop_locked();
+  awake_ = task != nullptr;
   return task;
 }
 
@@ -62,6 +88,16 @@ std::int64_t Lane::worth_moving_ns() {
 
 void Lane::take_all(ReadyList& into) {
   const config::MutexLock lock(mutex_);
+  take_all_locked(into);
+}
+
+void Lane::sleep(ReadyList& into) {
+  const config::MutexLock lock(mutex_);
+  take_all_locked(into);
+  awake_ = false;
+}
+
+void Lane::take_all_locked(ReadyList& into) {
   into.append(ready_);
   into.append(sources_);
   ready_count_.store(0, std::memory_order_relaxed);

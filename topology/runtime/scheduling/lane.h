@@ -56,6 +56,13 @@ class Lane {
   void push(Runnable& task);
   Runnable* pop();
   void take_all(ReadyList& into);
+  /// \name For a thread of the pool, whose lane other threads may give tasks to while it is awake.
+  /// @{
+  void wake();
+  bool push_if_awake(Runnable& task);  ///< \return false, and does nothing, when it is not awake. Any thread.
+  Runnable* pop_or_sleep();            ///< as pop(); when there is none, the lane is not awake any more
+  void sleep(ReadyList& into);         ///< as take_all(), and the lane is not awake any more
+  /// @}
   std::size_t ready_count() const { return ready_count_.load(std::memory_order_relaxed); }
   std::int64_t worth_moving_ns();  ///< sum of the tasks' Runnable::worth_moving_ns()
   /// A task that runs before those of the run list; null: none. It was put here when the running slice was about to
@@ -73,10 +80,15 @@ class Lane {
   static Lane* of_this_thread();
 
  private:
+  void push_locked(Runnable& task, std::int64_t since_ns) IOTCLOUD_REQUIRES(mutex_);
+  Runnable* pop_locked() IOTCLOUD_REQUIRES(mutex_);
+  void take_all_locked(ReadyList& into) IOTCLOUD_REQUIRES(mutex_);
+
   Scheduler& scheduler_;
   std::atomic<std::size_t> ready_count_{0};
   config::Mutex mutex_;
   static constexpr std::int64_t longest_wait_ns = 1'000'000;
+  bool awake_ IOTCLOUD_GUARDED_BY(mutex_) = false;
   ReadyList ready_ IOTCLOUD_GUARDED_BY(mutex_);
   ReadyList sources_ IOTCLOUD_GUARDED_BY(mutex_);
   std::int64_t sources_since_ns_ IOTCLOUD_GUARDED_BY(mutex_) = 0;  ///< since when the first of them waits

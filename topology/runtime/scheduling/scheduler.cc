@@ -22,7 +22,9 @@ Scheduler::Scheduler(unsigned threads, std::chrono::microseconds caller_slice, s
       long_slice_ns_(std::chrono::nanoseconds(long_slice).count()),
       make_lane_(std::move(make_lane)),
       timers_(timers),
-      spare_lane_(make_lane_(*this)) {}
+      spare_lane_(make_lane_(*this)) {
+  for (unsigned i = 0; i < threads_; ++i) homes_.push_back(lanes_.emplace_back(make_lane_(*this)).get());
+}
 
 Scheduler::~Scheduler() {
   halt();
@@ -30,11 +32,7 @@ Scheduler::~Scheduler() {
 }
 
 void Scheduler::start() {
-  const config::MutexLock lock(mutex_);
-  for (unsigned i = 0; i < threads_; ++i) {
-    lanes_.push_back(make_lane_(*this));
-    pool_.emplace_back([this, lane = lanes_.back().get()] { pool_thread(*lane); });
-  }
+  for (Lane* lane : homes_) pool_.emplace_back([this, lane] { pool_thread(*lane); });
 }
 
 void Scheduler::halt() {
@@ -96,8 +94,8 @@ bool Scheduler::runs_on_this_thread(Lane* lane) const {
   return lane != nullptr && &lane->scheduler() == this && lane->running.load(std::memory_order_relaxed) != nullptr;
 }
 
-void Scheduler::schedule(Runnable& task) noexcept {
-  if (make_ready(task)) run_taken(task, false);
+void Scheduler::schedule(Runnable& task, bool much) noexcept {
+  if (make_ready(task)) run_taken(task, false, much);
 }
 
 bool Scheduler::take(Runnable& task) noexcept {
@@ -107,15 +105,26 @@ bool Scheduler::take(Runnable& task) noexcept {
   return true;
 }
 
-void Scheduler::run_taken(Runnable& task, bool next) noexcept {
+void Scheduler::run_taken(Runnable& task, bool next, bool much) noexcept {
   Lane* lane = Lane::of_this_thread();
   if (!runs_on_this_thread(lane)) {
     hand_over(task);
+  } else if (much && send_home(*lane, task)) {
+    return;
   } else if (next && lane->next == nullptr) {
     lane->next = &task;
   } else {
     lane->push(task);
   }
+}
+
+/// Gives a task to its home, if that is another lane, and awake.
+bool Scheduler::send_home(const Lane& from, Runnable& task) noexcept {
+  if (task.home_ == Runnable::anywhere || homes_.empty()) return false;
+  Lane& home = *homes_[static_cast<std::size_t>(task.home_) % homes_.size()];
+  if (&home == &from || !home.push_if_awake(task)) return false;
+  timers_.watch();  // its thread may stay in a slice for long
+  return true;
 }
 
 void Scheduler::run_now(Runnable& task) noexcept {
@@ -163,6 +172,7 @@ void Scheduler::pool_thread(Lane& lane) {
       task = shared_.pop();
       shared_count_.store(shared_.size(), std::memory_order_relaxed);
     }
+    lane.wake();
     run(lane, Kind::pool, *task);
   }
 }
@@ -182,14 +192,14 @@ void Scheduler::run_until_idle() {
   return_lane(lane);
 }
 
-Runnable* Scheduler::next_of(Lane& lane) noexcept {
+Runnable* Scheduler::next_of(Lane& lane, Kind kind) noexcept {
   if (Runnable* next = std::exchange(lane.next, nullptr)) return next;
-  return lane.pop();
+  return kind == Kind::pool ? lane.pop_or_sleep() : lane.pop();
 }
 
 void Scheduler::run(Lane& lane, Kind kind, Runnable& first) noexcept {
   const std::int64_t began = lane.now_ns = real_ns();
-  for (Runnable* task = &first; task != nullptr; task = next_of(lane)) {
+  for (Runnable* task = &first; task != nullptr; task = next_of(lane, kind)) {
     lane.slice_began_ns.store(lane.now_ns, std::memory_order_relaxed);
     lane.running.store(task);
     // read after `running` is set: either this thread sees halted_, or wait_halted() sees `running`
@@ -232,15 +242,11 @@ void Scheduler::run_slice(Lane& lane, Runnable& task) noexcept {
 /// must stop working on it.
 bool Scheduler::share(Lane& lane, Kind kind, std::int64_t busy_ns) noexcept {
   if (kind == Kind::only) return false;
-  const auto take_all = [&] {
-    ReadyList tasks;
-    if (Runnable* next = std::exchange(lane.next, nullptr)) tasks.push(*next);
-    lane.take_all(tasks);
-    return tasks;
-  };
+  ReadyList tasks;
   if (kind == Kind::caller || (busy_ns >= turn_ns && shared_count_.load(std::memory_order_relaxed) > 0)) {
     if (kind == Kind::caller && busy_ns < caller_slice_ns_) return false;
-    ReadyList tasks = take_all();
+    if (Runnable* next = std::exchange(lane.next, nullptr)) tasks.push(*next);
+    lane.sleep(tasks);
     hand_over(tasks);
     return true;
   }
@@ -249,8 +255,8 @@ bool Scheduler::share(Lane& lane, Kind kind, std::int64_t busy_ns) noexcept {
   const std::int64_t worth_moving_ns =
       lane.worth_moving_ns() + (lane.next != nullptr ? lane.next->worth_moving_ns() : 0);
   if (ready <= many_tasks && worth_moving_ns < worth_sharing_ns) return false;
-  ReadyList tasks = take_all();
-  lane.next = tasks.pop();
+  if (lane.next == nullptr) lane.next = lane.pop();
+  lane.take_all(tasks);
   hand_over(tasks);
   return false;
 }

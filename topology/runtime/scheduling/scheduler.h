@@ -20,7 +20,9 @@ class Timers;
 /// Decides which thread runs which task. A task that becomes ready on a thread that runs tasks goes to the end of that
 /// thread's own run list, and no other thread is woken. Tasks move from a run list to the pool in three cases: a thread
 /// that called run_now() has worked for `caller_slice`; a pool thread has much work while another one sleeps; or a
-/// thread stays in one task for `long_slice` (offload_stuck_threads()).
+/// thread stays in one task for `long_slice` (offload_stuck_threads()). While several threads of the pool are awake, a task
+/// with a home that has got much to do goes to the thread that is its home: otherwise each thread would take each task in
+/// turn, and what a task keeps would go from core to core.
 class Scheduler {
  public:
   /// Makes a Lane, or an object of a derived class that the tasks know. Called on any thread.
@@ -40,16 +42,16 @@ class Scheduler {
   /// Whether some thread runs a slice of the task. After halt() the answer only changes from true to false.
   bool runs(const Runnable& task) const;
 
-  /// Makes sure that the task runs a slice that begins after this call. Any thread.
-  void schedule(Runnable& task) noexcept;
+  /// Makes sure that the task runs a slice that begins after this call. Any thread. \param much it has got much to do.
+  void schedule(Runnable& task, bool much = false) noexcept;
   /// As schedule(), but if the task is idle, the calling thread runs it and the tasks that it makes ready.
   void run_now(Runnable& task) noexcept;
   /// Takes the task if it is idle: until run_taken(), no other thread can run it, and the caller alone may prepare its
   /// slice. \return false when it was not idle. Any thread.
   bool take(Runnable& task) noexcept;
   /// Lets a task run that take() has taken. \param next in a slice that is about to end: before the tasks that are
-  /// ready on this thread.
-  void run_taken(Runnable& task, bool next) noexcept;
+  /// ready on this thread. \param much it has got much to do.
+  void run_taken(Runnable& task, bool next, bool much) noexcept;
   /// Allows the task to run. A new task does not run before this call; it runs now if schedule() was called for it
   /// already, or if `ready`.
   void release(Runnable& task, bool ready);
@@ -87,11 +89,12 @@ class Scheduler {
   enum class Kind { pool, caller, only };
   /// \param first runs first; it is queued, and on no run list.
   void run(Lane& lane, Kind kind, Runnable& first) noexcept;
-  Runnable* next_of(Lane& lane) noexcept;
+  static Runnable* next_of(Lane& lane, Kind kind) noexcept;
   bool runs_on_this_thread(Lane* lane) const;
   void run_slice(Lane& lane, Runnable& task) noexcept;
   /// \return true when the task was idle: the caller must put it on a run list.
   bool make_ready(Runnable& task) noexcept;
+  bool send_home(const Lane& from, Runnable& task) noexcept;
   void now_idle() noexcept;
   void hand_over(ReadyList& tasks) noexcept;
   void hand_over(Runnable& task) noexcept;
@@ -117,6 +120,7 @@ class Scheduler {
   std::vector<std::unique_ptr<Lane>> lanes_ IOTCLOUD_GUARDED_BY(mutex_);  ///< never removed from
   /// Lanes for threads that call run_now() or run_until_idle().
   std::vector<Lane*> unused_ IOTCLOUD_GUARDED_BY(mutex_);
+  std::vector<Lane*> homes_;  ///< the lanes of the pool's threads
   std::unique_ptr<Lane> spare_lane_;
   std::vector<std::jthread> pool_;
 };

@@ -11,6 +11,7 @@ namespace iotcloud::topology::internal {
 namespace {
 
 constexpr std::size_t first_cells = 16;
+constexpr std::size_t many_cells = 8;  ///< a task that gets so many at once has much to do
 
 std::uint64_t new_seed() {
   std::random_device device;
@@ -93,14 +94,15 @@ void EmittingLane::deliver(Task& emitter, Out& out, bool first) {
   BoltTask& target = *out.target;
   out_of_task_[static_cast<std::size_t>(target.id())] = &nowhere_;
   out.cells.set_size(static_cast<std::size_t>(out.end - out.cells.begin()));
+  const bool many = out.cells.size() >= many_cells;
   if (scheduler().take(target)) {
     target.hand(out.cells);
     if (target.room() == 0) target.block_until_room(emitter);
-    scheduler().run_taken(target, first);
+    scheduler().run_taken(target, first, many);
   } else {
     target.deliver({out.cells.begin(), out.cells.end()});
     if (target.room() == 0) target.block_until_room(emitter);
-    scheduler().schedule(target);
+    scheduler().schedule(target, many);
   }
 }
 

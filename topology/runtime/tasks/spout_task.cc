@@ -20,6 +20,8 @@ constexpr std::chrono::milliseconds pause_after_throw{100};
 /// One line of the log names all trees that failed in this time, and another one follows not before `between_lines`.
 constexpr std::chrono::nanoseconds gathering_failures = std::chrono::seconds(1);
 constexpr std::chrono::nanoseconds between_lines = std::chrono::seconds(60);
+
+constexpr std::size_t many_settlements = 8;  ///< a spout that is told so many at once has much to do
 }  // namespace
 
 void WakeGate::wake() noexcept {
@@ -94,6 +96,11 @@ void SpoutTask::collect(std::vector<config::Sample>& samples) const {
 
 void SpoutTask::wake() noexcept {
   woken_.store(true, std::memory_order_release);
+  // A task that may not emit now runs when that changes; this thread would only take it away from those that work for it.
+  // The fence is before full() looks here, and between a change of that and reading woken_ in ask(): so either this
+  // thread sees the change, or ask() sees woken_.
+  std::atomic_thread_fence(std::memory_order_seq_cst);
+  if (full()) return;
   environment_.scheduler->run_now(*this);
 }
 
@@ -149,7 +156,8 @@ bool SpoutTask::decide_to_ask() {
 bool SpoutTask::ask(EmittingLane& lane) {
   const std::int64_t slice_began = lane.now_ns;
   while (may_ask()) {
-    woken_.store(false, std::memory_order_relaxed);
+    std::atomic_thread_fence(std::memory_order_seq_cst);  // see wake()
+    woken_.exchange(false, std::memory_order_acquire);    // with what the waking thread wrote before
     bool more = true;
     std::chrono::microseconds pause{0};
     std::size_t calls = 0, executed = 0;
@@ -280,6 +288,7 @@ void SpoutTask::take_acked_at_once() {
 // Trees.
 
 void SpoutTask::tell(FlatList<Settlement>& settlements) noexcept {
+  const bool many = settlements.size() >= many_settlements;
   {
     const config::MutexLock lock(settlements_mutex_);
     if (settlements_.empty()) {
@@ -290,7 +299,7 @@ void SpoutTask::tell(FlatList<Settlement>& settlements) noexcept {
     has_settlements_.store(true, std::memory_order_release);
   }
   settlements.clear();
-  environment_.scheduler->schedule(*this);
+  environment_.scheduler->schedule(*this, many);
 }
 
 /// \return true when the whole tree is acked.

@@ -22,7 +22,9 @@ TopologyContext with(TopologyContext context, Holdings& holdings) {
 }  // namespace
 
 Task::Task(const TaskEnvironment& environment, Executors& executors, Role role, TopologyContext context)
-    : Runnable(executors, role), environment_(environment), context_(with(std::move(context), holdings_)) {}
+    : Runnable(executors, role, context.task_count > 1 ? context.task_index : anywhere),
+      environment_(environment),
+      context_(with(std::move(context), holdings_)) {}
 
 void Task::signal(std::uint32_t bits) {
   signals_.fetch_or(bits, std::memory_order_acq_rel);
@@ -34,7 +36,7 @@ void Task::hangs(std::int64_t for_ns) {
 }
 
 void Task::unblock() {
-  if (blocked_on_.fetch_sub(1, std::memory_order_acq_rel) == 1) environment_.scheduler->schedule(*this);
+  if (blocked_on_.fetch_sub(1, std::memory_order_acq_rel) == 1) environment_.scheduler->schedule(*this, true);
 }
 
 TaskSnapshot Task::snapshot() const {
