@@ -110,7 +110,8 @@ class CallsEngine final : public Engine {
   Sink sink_;
   Count counts_[2];
   std::vector<std::unique_ptr<Stage>> second_;
-  // If the calls are slowed down: after so many items the thread waits until so much time has passed since the last wait.
+  // If the calls are slowed down: after so many items the thread waits until so much time has passed since the last
+  // wait.
   static constexpr double least_step_ns = 5000;  // the clock is read seldom enough to cost nothing
   std::uint64_t items_of_step_ = 0;
   std::int64_t step_ns_ = 0;

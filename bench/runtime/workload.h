@@ -27,7 +27,7 @@ struct Options {
   bool tracked = false;
   bool numbered = false;  ///< each word has its item's number, as it always has with a rate and on the rings
   double rate = 0;        ///< results a second; 0: as many as possible
-  double most = 0;        ///< results a second that the engine could do at most; 0: as many as it can; calls_engine.cc only
+  double most = 0;  ///< results a second that the engine could do at most; 0: as many as it can; calls_engine.cc only
   double warm_up = 0.5, seconds = 1.5;
   unsigned threads = 0;  ///< 0: the engine's own choice
   int sources = 1;       ///< tasks of the source: 1, or 2 if the rate is 0; only iotcloud_engine.cc has two

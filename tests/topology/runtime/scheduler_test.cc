@@ -192,8 +192,8 @@ TEST_F(SchedulerTest, WithOneExecutorASecondJobStandsAsideUntilTheFirstIsDone) {
   EXPECT_THAT(done_, ElementsAre("first", "aside"));
 }
 
-/// A pool of two threads. The first job stays on one of them, or this one has never been awake; the second job runs `act` on the
-/// other one.
+/// A pool of two threads. The first job stays on one of them, or this one has never been awake; the second job runs
+/// `act` on the other one.
 class SchedulerHomesTest : public SchedulerTest {
  protected:
   void run(bool both_awake, const std::function<void()>& act) {

@@ -14,8 +14,9 @@ class Runnable {
  public:
   /// Whether it brings work to others, or does what it is given.
   enum class Role : bool { worker, source };
-  /// \param executors the runnable holds one of these while it runs a slice; must outlive the runnable. \param home which
-  /// thread of the pool gets it when there is much to do (Scheduler), counted round the pool's threads; `anywhere`: none.
+  /// \param executors the runnable holds one of these while it runs a slice; must outlive the runnable. \param home
+  /// which thread of the pool gets it when there is much to do (Scheduler), counted round the pool's threads;
+  /// `anywhere`: none.
   Runnable(Executors& executors, Role role, int home = anywhere) : executors_(executors), role_(role), home_(home) {}
   virtual ~Runnable() = default;
   static constexpr int anywhere = -1;

@@ -20,9 +20,9 @@ class Timers;
 /// Decides which thread runs which task. A task that becomes ready on a thread that runs tasks goes to the end of that
 /// thread's own run list, and no other thread is woken. Tasks move from a run list to the pool in three cases: a thread
 /// that called run_now() has worked for `caller_slice`; a pool thread has much work while another one sleeps; or a
-/// thread stays in one task for `long_slice` (offload_stuck_threads()). While several threads of the pool are awake, a task
-/// with a home that has got much to do goes to the thread that is its home: otherwise each thread would take each task in
-/// turn, and what a task keeps would go from core to core.
+/// thread stays in one task for `long_slice` (offload_stuck_threads()). While several threads of the pool are awake, a
+/// task with a home that has got much to do goes to the thread that is its home: otherwise each thread would take each
+/// task in turn, and what a task keeps would go from core to core.
 class Scheduler {
  public:
   /// Makes a Lane, or an object of a derived class that the tasks know. Called on any thread.

@@ -96,8 +96,8 @@ void SpoutTask::collect(std::vector<config::Sample>& samples) const {
 
 void SpoutTask::wake() noexcept {
   woken_.store(true, std::memory_order_release);
-  // A task that may not emit now runs when that changes; this thread would only take it away from those that work for it.
-  // The fence is before full() looks here, and between a change of that and reading woken_ in ask(): so either this
+  // A task that may not emit now runs when that changes; this thread would only take it away from those that work for
+  // it. The fence is before full() looks here, and between a change of that and reading woken_ in ask(): so either this
   // thread sees the change, or ask() sees woken_.
   std::atomic_thread_fence(std::memory_order_seq_cst);
   if (full()) return;
