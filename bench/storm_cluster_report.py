@@ -42,7 +42,7 @@ class ClusterScale:
         self.rounds = rounds or {"quick": 3, "usual": 5, "full": 7}[scale]
         self.warm_up_s, self.turn_s, self.keep_noisy = 10 if quick else 20, 3 if quick else 4, keep_noisy
         if quick:
-            phases = [("chain", 1, True), ("words", 2, True), ("100 KB", 2, True)]
+            phases = [("chain", 1, True), ("words", 1, False), ("words", 2, True), ("100 KB", 1, True)]
         else:
             phases = [(load, workers, tracked) for load in LOADS for workers in (1, 2) for tracked in (True, False)]
         self.asked_for = asked_for
