@@ -32,18 +32,19 @@ TEST(Scheduling, ATasksCallsNeverOverlapUnderManyWakers) {
   config::Metrics metrics;
   Runtime runtime(builder.build("serial"), with_threads(2, metrics));
   runtime.start();
-  constexpr int wakers = 4, each = 2000;
+  constexpr std::size_t wakers = 4, each = 2000;
   {
     std::vector<std::jthread> threads;
-    for (int t = 0; t < wakers; ++t) {
+    threads.reserve(wakers);
+    for (std::size_t t = 0; t < wakers; ++t) {
       threads.emplace_back([&] {
-        for (int i = 0; i < each; ++i) source->put(Values(i));
+        for (std::size_t i = 0; i < each; ++i) source->put(Values(i));
       });
     }
   }
   EXPECT_TRUE(eventually([&] { return source->acked().size() == wakers * each; }));
   EXPECT_TRUE(runtime.stop(120s));
-  EXPECT_EQ(unguarded, wakers * each);
+  EXPECT_EQ(unguarded, static_cast<int>(wakers * each));
   EXPECT_EQ(overlaps, 0);
 }
 
