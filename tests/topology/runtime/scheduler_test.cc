@@ -196,7 +196,7 @@ TEST_F(SchedulerTest, WithOneExecutorASecondJobStandsAsideUntilTheFirstIsDone) {
 /// `act` on the other one.
 class SchedulerHomesTest : public SchedulerTest {
  protected:
-  void run(bool both_awake, const std::function<void()>& act) {
+  void run(bool both_awake, const std::function<void(Lane&)>& act) {
     std::latch began(1), may_end(1), ended(1);
     Job first(many_, [&](Lane&) {
       first_thread_ = std::this_thread::get_id();
@@ -204,9 +204,9 @@ class SchedulerHomesTest : public SchedulerTest {
       may_end.wait();
       return false;
     });
-    Job second(many_, [&](Lane&) {
+    Job second(many_, [&](Lane& lane) {
       second_thread_ = std::this_thread::get_id();
-      act();
+      act(lane);
       ended.count_down();
       return false;
     });
@@ -237,15 +237,26 @@ class SchedulerHomesTest : public SchedulerTest {
 };
 
 TEST_F(SchedulerHomesTest, WhoHasMuchToDoRunsAtHomeWhileThatThreadIsAwake) {
-  run(true, [&] {
+  run(true, [&](Lane& lane) {
+    lane.now_ns = 0;  // the first job has not been running for long, however slow the machine is
     for (Job* job : {&home_0_, &home_1_, &homeless_}) pool_.schedule(*job, true);
   });
   EXPECT_THAT((std::vector{thread_of_0_, thread_of_1_}), UnorderedElementsAre(first_thread_, second_thread_));
   EXPECT_EQ(thread_of_homeless_, second_thread_);
 }
 
+TEST_F(SchedulerHomesTest, WhoseHomeIsInALongSliceRunsWhereItBecameReady) {
+  run(true, [&](Lane& lane) {
+    lane.now_ns = real_ns() + 1'000'000'000;
+    for (Job* job : {&home_0_, &home_1_}) pool_.schedule(*job, true);
+  });
+  EXPECT_EQ(thread_of_0_, second_thread_);
+  EXPECT_EQ(thread_of_1_, second_thread_);
+}
+
 TEST_F(SchedulerHomesTest, WhoHasLittleToDoRunsWhereItBecameReady) {
-  run(true, [&] {
+  run(true, [&](Lane& lane) {
+    lane.now_ns = 0;
     for (Job* job : {&home_0_, &home_1_}) pool_.schedule(*job);
   });
   EXPECT_EQ(thread_of_0_, second_thread_);
@@ -253,7 +264,7 @@ TEST_F(SchedulerHomesTest, WhoHasLittleToDoRunsWhereItBecameReady) {
 }
 
 TEST_F(SchedulerHomesTest, WhoseHomeIsAsleepRunsWhereItBecameReady) {
-  run(false, [&] {
+  run(false, [&](Lane&) {
     for (Job* job : {&home_0_, &home_1_}) {
       ASSERT_TRUE(pool_.take(*job));
       pool_.run_taken(*job, false, true);

@@ -118,12 +118,15 @@ void Scheduler::run_taken(Runnable& task, bool next, bool much) noexcept {
   }
 }
 
-/// Gives a task to its home, if that is another lane, and awake.
+/// Gives a task to its home, if that is another lane, awake, and in no long slice.
 bool Scheduler::send_home(const Lane& from, Runnable& task) noexcept {
   if (task.home_ == Runnable::anywhere || homes_.empty()) return false;
   Lane& home = *homes_[static_cast<std::size_t>(task.home_) % homes_.size()];
-  if (&home == &from || !home.push_if_awake(task)) return false;
-  timers_.watch();  // its thread may stay in a slice for long
+  if (&home == &from) return false;
+  const std::int64_t began = home.slice_began_ns.load(std::memory_order_relaxed);
+  if (began != 0 && from.now_ns - began > slice_limit_ns) return false;
+  if (!home.push_if_awake(task)) return false;
+  timers_.watch();  // its slice may become long
   return true;
 }
 
