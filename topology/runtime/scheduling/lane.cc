@@ -68,9 +68,9 @@ void Lane::wake() {
   awake_ = true;
 }
 
-bool Lane::push_if_awake(Runnable& task) {
+bool Lane::push_if_awake(Runnable& task, std::int64_t now) {
   const config::MutexLock lock(mutex_);
-  if (awake_) push_locked(task, real_ns());
+  if (awake_) push_locked(task, now);
   return awake_;
 }
 

@@ -59,9 +59,11 @@ class Lane {
   /// \name For a thread of the pool, whose lane other threads may give tasks to while it is awake.
   /// @{
   void wake();
-  bool push_if_awake(Runnable& task);  ///< \return false, and does nothing, when it is not awake. Any thread.
-  Runnable* pop_or_sleep();            ///< as pop(); when there is none, the lane is not awake any more
-  void sleep(ReadyList& into);         ///< as take_all(), and the lane is not awake any more
+  /// Any thread. \param now real_ns() as the calling thread read it last. \return false, and does nothing, when the
+  /// lane is not awake.
+  bool push_if_awake(Runnable& task, std::int64_t now);
+  Runnable* pop_or_sleep();     ///< as pop(); when there is none, the lane is not awake any more
+  void sleep(ReadyList& into);  ///< as take_all(), and the lane is not awake any more
   /// @}
   std::size_t ready_count() const { return ready_count_.load(std::memory_order_relaxed); }
   std::int64_t worth_moving_ns();  ///< sum of the tasks' Runnable::worth_moving_ns()

@@ -125,7 +125,7 @@ bool Scheduler::send_home(const Lane& from, Runnable& task) noexcept {
   if (&home == &from) return false;
   const std::int64_t began = home.slice_began_ns.load(std::memory_order_relaxed);
   if (began != 0 && from.now_ns - began > slice_limit_ns) return false;
-  if (!home.push_if_awake(task)) return false;
+  if (!home.push_if_awake(task, from.now_ns)) return false;
   timers_.watch();  // its slice may become long
   return true;
 }
