@@ -87,6 +87,15 @@ class GatewayFixture : public ::testing::Test {
     });
   }
 
+  /// Waits until an instance's record, which may not be there yet, says this.
+  bool comes_to_say(const std::string& instance, const std::string& key, const std::string& value,
+                    const std::string& driver = "probe") {
+    return eventually([&] {
+      auto now = record(instance, driver);
+      return now && now->metadata[key] == value;
+    });
+  }
+
   static inline std::atomic<int> next_{0};
   const std::string name_ = "gateway-test-" + std::to_string(next_++);
   const std::string registry_url_ = "embedded://" + name_;

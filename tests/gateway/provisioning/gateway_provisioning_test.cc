@@ -25,8 +25,8 @@ TEST_F(ProvisioningGatewayTest, makes_instances_of_what_a_finder_finds_and_says_
   EXPECT_EQ(made.deployment, "p-7");
   EXPECT_EQ(made.index, 1);
   EXPECT_EQ(made.metadata.at("of"), "7");
-  ASSERT_TRUE(eventually([&] { return record(id("p-7"))->metadata["id"] == "7"; })) << "its property says";
-  ASSERT_TRUE(eventually([&] { return record(id("eye"), "finder")->metadata["made"] == "1"; }));
+  ASSERT_TRUE(comes_to_say(id("p-7"), "id", "7")) << "its property says";
+  ASSERT_TRUE(comes_to_say(id("eye"), "made", "1", "finder"));
   TestFinder::with([](auto& context) { context.report_gone("7"); });
   EXPECT_TRUE(gone("p-7"));
 }
@@ -115,7 +115,7 @@ TEST_F(ProvisioningGatewayTest, holds_what_is_found_while_it_drains) {
   start();
   discovery::put(*registry_, paths_.gateway_draining("gw"_gateway), encode(discovery::DrainRecord{}));
   TestFinder::find("7");
-  ASSERT_TRUE(eventually([&] { return record(id("eye"), "finder")->metadata["found"] == "1"; }));
+  ASSERT_TRUE(comes_to_say(id("eye"), "found", "1", "finder"));
   EXPECT_FALSE(record(id("p-7")));
   registry_->remove(paths_.gateway_draining("gw"_gateway));
   EXPECT_TRUE(comes_to(id("p-7"), DriverState::active));
