@@ -1,3 +1,4 @@
+#include <algorithm>
 #include <bit>
 #include <cstring>
 #include <limits>
@@ -16,6 +17,7 @@ enum class Kind : std::uint8_t { null, no, yes, integer, real, string, payload, 
 
 constexpr std::size_t most_bytes = std::numeric_limits<std::int32_t>::max();
 constexpr std::size_t count_size = sizeof(std::uint32_t);
+constexpr std::int32_t is_parcel = -1;  ///< in place of a count
 
 std::size_t size_of_bytes(std::size_t size) {
   if (size > most_bytes) throw ValueFormatError("a value of " + std::to_string(size) + " bytes; Java takes 2 GiB");
@@ -125,6 +127,18 @@ Value read(Reader& reader, JavaArrays* arrays) {
 
 }  // namespace
 
+std::size_t find_arrays(std::span<const Value> values, std::vector<std::optional<JavaValue>>& elsewhere) {
+  std::size_t bytes = 0;
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    const auto* payload = std::get_if<Payload>(&values[i]);
+    if (payload == nullptr || payload->size() < least_array || (i < elsewhere.size() && elsewhere[i])) continue;
+    elsewhere.resize(std::max(elsewhere.size(), i + 1));
+    elsewhere[i] = JavaValue{};
+    bytes += payload->size();
+  }
+  return bytes;
+}
+
 std::size_t encoded_size(std::span<const Value> values, JavaValues elsewhere) {
   std::size_t size = count_size;
   for (std::size_t i = 0; i < values.size(); ++i) {
@@ -151,6 +165,23 @@ std::byte* encode_values(std::span<const Value> values, std::byte* at, JavaValue
       writer.number(*elsewhere[i]);
     }
   }
+  return writer.at();
+}
+
+std::size_t encoded_parcel_size(std::span<const Value> values, std::span<const std::size_t> told) {
+  for (const Value& value : values) size_of(value);
+  std::size_t size = count_size + sizeof(std::uint64_t) + count_size;
+  for (const std::size_t place : told) size += size_of(values[place]);
+  return size;
+}
+
+std::byte* encode_parcel(const void* parcel, std::size_t count, std::span<const Value> values,
+                         std::span<const std::size_t> told, std::byte* at) noexcept {
+  Writer writer(at);
+  writer.number(is_parcel);
+  writer.number(reinterpret_cast<std::uintptr_t>(parcel));
+  writer.number(static_cast<std::uint32_t>(count));
+  for (const std::size_t place : told) write(writer, values[place]);
   return writer.at();
 }
 

@@ -41,6 +41,11 @@ void write_file(const Config& config, const topology::TopologyContext& context, 
   std::filesystem::rename(partial, path);
 }
 
+/// The size of a number's payload. Large ones take another way through Java than small ones.
+std::size_t payload_size(std::int64_t n) {
+  return n % 40 == 0 ? 20'000 : static_cast<std::size_t>(n % 300);
+}
+
 /// Emits the numbers 1 to `count` with a key of ten, a payload and a text, and again those that failed; when
 /// `told_from` of them (default: all) are done says how many were done and how often one failed. On the stream `chosen`
 /// it names the tasks of the component `direct` in turn.
@@ -86,8 +91,7 @@ class Numbers final : public topology::Spout {
  private:
   void emit(std::int64_t n) {
     const std::string key = "k" + std::to_string(n % 10);
-    collector_->emit(Values(n, key, topology::Payload::copy(std::string(static_cast<std::size_t>(n % 300), 'x')),
-                            "z\xC3\xA4hlt " + key),
+    collector_->emit(Values(n, key, topology::Payload::copy(std::string(payload_size(n), 'x')), "z\xC3\xA4hlt " + key),
                      static_cast<topology::MessageId>(n));
   }
   void write() {
@@ -223,6 +227,17 @@ class Fussy final : public topology::BasicBolt {
   std::set<std::int64_t> refused_;
 };
 
+/// Emits what it gets.
+class Relay final : public topology::BasicBolt {
+ public:
+  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"n", "key", "payload", "text"});
+  }
+  void execute(const Tuple& tuple, topology::BasicOutputCollector& collector) override {
+    collector.emit(Values(tuple.at("n"), tuple.at("key"), tuple.at("payload"), tuple.at("text")));
+  }
+};
+
 /// Emits what it gets, and acks it from a thread of its own.
 class Later final : public topology::Bolt {
  public:
@@ -261,7 +276,7 @@ class Count final : public topology::BasicBolt {
     ++by_key_[key];
     numbers_.insert(n);
     if (tuple.size() == 2) return;
-    const bool intact = tuple.get<topology::Payload>("payload").size() == static_cast<std::size_t>(n % 300) &&
+    const bool intact = tuple.get<topology::Payload>("payload").text() == std::string(payload_size(n), 'x') &&
                         tuple.get<std::string>("text") == "z\xC3\xA4hlt " + key;
     if (!intact) ++damaged_;
   }
@@ -655,6 +670,7 @@ IOTCLOUD_TOPOLOGY_LIBRARY(registry) {
   registry.add_bolt<Crash>("test.Crash");
   registry.add_bolt<Slow>("test.Slow");
   registry.add_bolt<Fussy>("test.Fussy");
+  registry.add_bolt<Relay>("test.Relay");
   registry.add_bolt<Later>("test.Later");
   registry.add_bolt<Count>("test.Count");
   registry.add_bolt<Mixed>("test.Mixed");

@@ -40,7 +40,8 @@ bolts:
   later: {{class: test.Later, inputs: {{from: numbers}}}}
   fussy: {{class: test.Fussy, inputs: {{from: later}}}}
   choosy: {{class: test.Count, parallelism: {TASKS}, tick: 100ms, inputs: {{from: later, grouping: custom, class: test.Picky}}}}
-  end: {{class: test.Count, tick: 1s, deadline: 590s, inputs: {{from: fussy, grouping: global}}}}
+  relay: {{class: test.Relay, parallelism: {TASKS}, inputs: {{from: fussy, grouping: fields, fields: [key]}}}}
+  end: {{class: test.Count, tick: 1s, deadline: 590s, inputs: {{from: relay, grouping: global}}}}
 {bolts}"""
 
 
@@ -122,7 +123,7 @@ class ComponentsOnStorm(StormCase):
     def check_answers(self):
         (topology,) = [row for row in self.table("list") if row["topology"] == "counts"]
         self.assertEqual((topology["state"], len(topology["workers"])), ("active", 2))
-        self.assertEqual((topology["spouts"], set(topology["bolts"])), (["numbers"], {"later", "fussy", "choosy", "end", *GROUPINGS}))
+        self.assertEqual((topology["spouts"], set(topology["bolts"])), (["numbers"], {"later", "fussy", "choosy", "relay", "end", *GROUPINGS}))
         expected = {"fussy": r"execute\(\) threw: not number \d+00",
                     "later": r"the grouping of later/default threw: nobody takes number \d+00",
                     "numbers": r"the grouping of numbers/default threw: nobody takes number \d+00"}
@@ -133,7 +134,7 @@ class ComponentsOnStorm(StormCase):
         for component, text in expected.items():
             self.assertRegex(errors()[component], text)
         self.assertEqual({row["component"] for row in self.table("show", "counts")["executors"]},
-                         {"numbers", "later", "fussy", "choosy", "end", *GROUPINGS})
+                         {"numbers", "later", "fussy", "choosy", "relay", "end", *GROUPINGS})
         again = self.run_program("submit", str(Path(self.place.name) / "counts.yaml"), "--nimbus", self.storm.url())
         self.assertEqual(again.returncode, 1)
         self.assertIn("runs already", again.stderr)

@@ -1,6 +1,7 @@
 // What a task's C++ side makes of the calls of Java: a test plays Java, and reads the commands.
 #include <algorithm>
 #include <atomic>
+#include <bit>
 #include <chrono>
 #include <cstring>
 #include <deque>
@@ -22,6 +23,7 @@
 #include <iotcloud/topology/storm/shim/bolt_host.h>
 #include <iotcloud/topology/storm/shim/call_timer.h>
 #include <iotcloud/topology/storm/shim/grouping_host.h>
+#include <iotcloud/topology/storm/shim/parcel.h>
 #include <iotcloud/topology/storm/shim/spout_host.h>
 #include <iotcloud/topology/storm/shim/worker_pages.h>
 #include <iotcloud/topology/storm/value_format.h>
@@ -57,6 +59,8 @@ class Java final : public CommandSink {
   std::vector<std::string> commands;
   int wakes = 0;
   std::size_t most_arrays = 0;  ///< that waited for their commands at a time
+  std::vector<ParcelPtr> parcels;
+  std::size_t told = 0;  ///< so many strings are told of each parcel
 
  private:
   template <typename Number>
@@ -65,6 +69,14 @@ class Java final : public CommandSink {
     std::memcpy(&value, at_, sizeof value);
     at_ += sizeof value;
     return value;
+  }
+  /// A string among the values.
+  std::string string() {
+    EXPECT_EQ(number<std::uint8_t>(), 5);
+    const auto size = number<std::uint32_t>();
+    std::string text(reinterpret_cast<const char*>(at_), size);
+    at_ += size;
+    return text;
   }
   std::string command() {
     static constexpr const char* answers[] = {"", "", "ack", "fail", "reset", "forget", "", "", "executes"};
@@ -94,6 +106,12 @@ class Java final : public CommandSink {
     // after it.
     std::byte* begin = at_;
     const auto count = number<std::uint32_t>();
+    if (count == static_cast<std::uint32_t>(-1)) {
+      parcels.emplace_back(std::bit_cast<Parcel*>(number<std::uintptr_t>()));
+      text += ": parcel of " + std::to_string(number<std::uint32_t>());
+      for (std::size_t i = 0; i < told; ++i) text += ", " + string();
+      return text;
+    }
     const auto kind = number<std::uint8_t>();
     if (kind == 7) {
       const auto slot = number<std::uint32_t>();
@@ -125,8 +143,8 @@ TaskDescription described(bool births = false) {
   task.task = 4;
   task.tasks = {{"a", {1, 2}}, {"b", {3, 4}}, {"c", {5, 6}}};
   task.inputs.push_back({{"a", "default", Fields{"text"}, births}, Fields{"text"}});
-  task.outputs.push_back({{"b", "chosen", Fields{"text"}, births}, true, {5, 6}});
-  task.outputs.push_back({{"b", "default", Fields{"text"}, births}, false, {}});
+  task.outputs.push_back({{"b", "chosen", Fields{"text"}, births}, true, {5, 6}, false, {}});
+  task.outputs.push_back({{"b", "default", Fields{"text"}, births}, false, {}, false, {}});
   return task;
 }
 
@@ -186,12 +204,12 @@ struct BoltTask {
   }
   std::vector<std::string> execute(std::uint32_t slot, const Values& values) {
     const auto bytes = bytes_of(values);
-    java.apply(host->execute(slot, 0, 1, bytes));
+    java.apply(host->execute(slot, 0, 1, {bytes}));
     return java.taken();
   }
   std::int64_t keep(std::uint32_t slot, const Values& values) {
     const auto bytes = bytes_of(values);
-    return host->keep(slot, 0, 1, bytes);
+    return host->keep(slot, 0, 1, {bytes});
   }
   Java java;
   AnswerQueue queue;
@@ -357,6 +375,105 @@ TEST(StormBoltHost, LargePayloadsOfCommandsThatWaitAreGivenToJavaInOrder) {
               ElementsAre("emit stream 1: array 16384a", "emit stream 1: array 16384b", "emit stream 1: array 16384c",
                           "emit stream 1 @1: array 16384e", "ack 1"));
   EXPECT_EQ(task.java.most_arrays, 2U);
+}
+
+/// As described(), of a task whose readers are bolts of C++.
+TaskDescription with_parcels(const std::vector<std::size_t>& told = {}, bool births = false) {
+  TaskDescription task = described(births);
+  for (TaskDescription::Output& output : task.outputs) {
+    output.parcels = true;
+    output.told = told;
+  }
+  return task;
+}
+
+Payload large_payload() {
+  return Payload::copy(std::string(least_array, 'x'));
+}
+
+TEST(StormBoltHost, ALargePayloadForAnotherBoltOfCppStaysInAParcel) {
+  const Payload payload = large_payload();
+  BoltTask emitter(
+      [&](const Tuple& tuple, OutputCollector& out) {
+        out.emit(tuple, Values(payload));
+        out.emit_direct(6, "chosen", {&tuple, 1}, Values(payload));
+        out.emit(Values("small"));
+        out.ack(tuple);
+      },
+      with_parcels());
+  EXPECT_THAT(emitter.execute(7, Values("x")),
+              ElementsAre("emit stream 1 @7: parcel of 1", "emit stream 0 task 6 @7: parcel of 1",
+                          "emit stream 1: small", "ack 7"));
+  std::vector<const std::byte*> taken;
+  BoltTask reader([&](const Tuple& tuple, OutputCollector& out) {
+    taken.push_back(tuple.get<Payload>(0).data());
+    out.emit(tuple, Values(tuple.at(0)));  // Java does not have what came in a parcel
+    out.ack(tuple);
+  });
+  for (std::uint32_t slot = 0; slot < 2; ++slot)
+    reader.java.apply(reader.host->execute(slot, 0, 4, {.parcel = std::move(emitter.java.parcels.at(slot))}));
+  EXPECT_THAT(taken, ElementsAre(payload.data(), payload.data()));
+  EXPECT_THAT(reader.java.taken(),
+              ElementsAre("emit stream 1 @0: array 16384x", "ack 0", "emit stream 1 @1: array 16384x", "ack 1"));
+}
+
+TEST(StormBoltHost, OfAParcelJavaIsToldWhatItGroupsBy) {
+  TaskDescription two_fields = with_parcels({1});
+  two_fields.outputs.back().fields = Fields{"frame", "key"};
+  BoltTask task(
+      [](const Tuple& tuple, OutputCollector& out) {
+        out.emit(Values(large_payload(), "key"));
+        EXPECT_THROW(out.emit(Values(large_payload(), "\xFF")), ValueFormatError);  // its reader may be elsewhere
+        out.ack(tuple);
+      },
+      two_fields);
+  task.java.told = 1;
+  EXPECT_THAT(task.execute(1, Values("x")), ElementsAre("emit stream 1: parcel of 2, key", "ack 1"));
+}
+
+TEST(StormBoltHost, AParcelHasItsTuplesBirth) {
+  BoltTask emitter([](const Tuple& tuple, OutputCollector& out) { out.emit(tuple, Values(large_payload())); },
+                   with_parcels({}, true));
+  const std::int64_t born_ms = config::system_clock().wall_ms() - 60'000;
+  EXPECT_THAT(emitter.execute(1, Values("x", born_ms)), ElementsAre("emit stream 1 @1: parcel of 2"));
+  EXPECT_NEAR(static_cast<double>(*emitter.java.parcels.at(0)->born_ms), static_cast<double>(born_ms), 1000);
+  int executed = 0;
+  BoltTask reader([&](const Tuple&, OutputCollector&) { ++executed; }, described(true),
+                  [](ComponentSpec& spec) { spec.deadline = std::chrono::seconds(10); });
+  reader.java.apply(reader.host->execute(1, 0, 4, {.parcel = std::move(emitter.java.parcels.at(0))}));
+  EXPECT_THAT(reader.java.taken(), ElementsAre("ack 1"));
+  EXPECT_EQ(executed, 0);
+}
+
+TEST(StormBoltHost, ATupleThatWaitsBecauseOfKeepLastMayComeInAParcel) {
+  const auto keep = [](ComponentSpec& spec) {
+    InputSpec input;
+    input.from = "a";
+    input.keep_last = 1;
+    spec.inputs.push_back(input);
+  };
+  BoltTask task(
+      [](const Tuple& tuple, OutputCollector& out) {
+        out.emit(Values(std::to_string(tuple.get<std::int64_t>(1))));
+        out.ack(tuple);
+      },
+      described(), keep);
+  for (const std::uint32_t slot : {1, 2}) {
+    Values values(large_payload(), slot);
+    EXPECT_EQ(task.host->keep(slot, 0, 1, {.parcel = Parcel::pack(values)}), slot == 1 ? -1 : 1);
+  }
+  task.java.apply(static_cast<std::size_t>(task.host->run_next()));
+  EXPECT_THAT(task.java.taken(), ElementsAre("executes 2", "emit stream 1: 2", "ack 2"));
+}
+
+TEST(StormBoltHost, LargePayloadsThatFillTheParcelsGoToJava) {
+  const Payload payload = Payload::copy(std::string(Parcel::most_bytes / 2, 'x'));
+  BoltTask task([&](const Tuple&, OutputCollector& out) { out.emit(Values(payload)); }, with_parcels());
+  for (int i = 0; i < 3; ++i) EXPECT_THAT(task.execute(1, Values("x")).front(), "emit stream 1: parcel of 1");
+  const std::string array = "emit stream 1: array " + std::to_string(payload.size()) + "x";
+  EXPECT_EQ(task.execute(1, Values("x")).front(), array);
+  task.java.parcels.clear();
+  EXPECT_THAT(task.execute(1, Values("x")).front(), "emit stream 1: parcel of 1");
 }
 
 TEST(StormBoltHost, ASmallPayloadCrosses) {
@@ -541,7 +658,7 @@ TaskDescription emitter_for(const std::string& grouping) {
   task.folder = library.parent_path();
   task.library = library.filename();
   task.class_name = grouping;
-  task.outputs = {{{"b", "default", Fields{"key", "n"}, false}, false, {}}};
+  task.outputs = {{{"b", "default", Fields{"key", "n"}, false}, false, {}, false, {}}};
   return task;
 }
 
@@ -571,11 +688,14 @@ TEST(StormTaskDescription, IsReadFromJson) {
   const auto task = TaskDescription::parse(R"({"folder": "/f", "file": "", "library": "l.so", "class": "C",
     "conf": {"a": "1"}, "topology": "t", "component": "b", "task": 4, "tasks": {"a": [1], "b": [3, 4]}, "here": [4],
     "inputs": [{"component": "a", "stream": "s", "fields": ["x", "__born"], "key": ["x"]}],
-    "outputs": [{"component": "b", "stream": "default", "fields": ["y"], "direct": true, "targets": [1]}]})");
+    "outputs": [{"component": "b", "stream": "default", "fields": ["y"], "direct": true, "targets": [1],
+      "parcels": true, "told": [0]}]})");
   EXPECT_EQ(task.class_name, "C");
   EXPECT_TRUE(task.inputs.at(0).births);
   EXPECT_EQ(task.inputs.at(0).fields, Fields{"x"});
   EXPECT_FALSE(task.outputs.at(0).births);
+  EXPECT_TRUE(task.outputs.at(0).parcels);
+  EXPECT_THAT(task.outputs.at(0).told, ElementsAre(0));
   EXPECT_EQ(task.context().task_index, 1);
   EXPECT_THROW(static_cast<void>(TaskDescription::parse("{}")), config::Error);
 }

@@ -13,15 +13,24 @@ struct BoltHost::Received final : detail::TupleData {
   using Objects = internal::Pool<Received>;
 
   void recycle() noexcept override {
-    if (!answered.exchange(true)) host->put(Answer::forget, slot);
+    if (!answered.load(std::memory_order_acquire)) host->put(Answer::forget, slot);  // nobody else can answer it now
     values.clear();
-    handles.store(0, std::memory_order_relaxed);  // ~Tuple() leaves the last handle counted
     Objects::give(this);
+  }
+
+  /// \return whether it was answered before.
+  bool note_answer() noexcept {
+    // The only handle is the caller's: no other thread can answer the tuple.
+    if (handles.load(std::memory_order_acquire) > 1) return answered.exchange(true);
+    const bool before = answered.load(std::memory_order_relaxed);
+    answered.store(true, std::memory_order_relaxed);
+    return before;
   }
 
   BoltHost* host = nullptr;
   std::uint32_t slot = 0;
   std::size_t input = 0;
+  bool java_has_values = false;       ///< while it keeps the tuple
   std::atomic<bool> answered{false};  ///< also of a tick, which Java does not keep
 };
 
@@ -87,12 +96,11 @@ void BoltHost::close_component() {
   bolt_->cleanup();
 }
 
-std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values,
-                              JavaArrays* arrays) {
+std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_task, HandedValues values) {
   Received* received = receive(slot, input, source_task);
-  const Tuple tuple(received);
+  const Tuple tuple = Tuple::adopt(received);
   const OwnCall own(*this);
-  if (guarded("execute()", [&] { decode(*received, input, values, arrays); })) {
+  if (guarded("execute()", [&] { fill(*received, input, values); })) {
     run(tuple, input);
   } else {
     answer(Answer::fail, tuple);
@@ -100,16 +108,15 @@ std::size_t BoltHost::execute(std::uint32_t slot, std::size_t input, int source_
   return commands_.take();
 }
 
-std::int64_t BoltHost::keep(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values,
-                            JavaArrays* arrays) {
+std::int64_t BoltHost::keep(std::uint32_t slot, std::size_t input, int source_task, HandedValues values) {
   Received* received = receive(slot, input, source_task);
-  const Tuple tuple(received);
+  const Tuple tuple = Tuple::adopt(received);
   try {
-    decode(*received, input, values, arrays);
+    fill(*received, input, values);
     const Tuple replaced = kept_->put(tuple);
     if (!replaced) return -1;
     auto& its = static_cast<Received&>(*replaced.data());
-    its.answered.store(true);
+    its.note_answer();
     superseded_.add();
     return its.slot;
   } catch (const std::exception& error) {
@@ -121,6 +128,7 @@ std::int64_t BoltHost::keep(std::uint32_t slot, std::size_t input, int source_ta
 
 BoltHost::Received* BoltHost::receive(std::uint32_t slot, std::size_t input, int source_task) {
   Received* received = Received::Objects::take();
+  received->handles.store(1, std::memory_order_relaxed);
   received->host = this;
   received->slot = slot;
   received->input = input;
@@ -132,11 +140,16 @@ BoltHost::Received* BoltHost::receive(std::uint32_t slot, std::size_t input, int
   return received;
 }
 
-void BoltHost::decode(Received& received, std::size_t input, std::span<const std::byte> values,
-                      JavaArrays* arrays) const {
-  std::int64_t born_ms = 0;
+void BoltHost::fill(Received& received, std::size_t input, HandedValues& values) const {
   const bool births = task_.inputs[input].births;
-  received.values = decode_values(values, births ? &born_ms : nullptr, arrays);
+  std::int64_t born_ms = 0;
+  received.java_has_values = values.parcel == nullptr;
+  if (values.parcel) {
+    received.values.fill(values.parcel->values);
+    born_ms = values.parcel->born_ms.value_or(0);
+  } else {
+    received.values = decode_values(values.bytes, births ? &born_ms : nullptr, values.arrays);
+  }
   if (births) received.born_ns = birth_of(born_ms);
 }
 
@@ -186,13 +199,14 @@ std::size_t BoltHost::tick() {
 
 void BoltHost::run_tick() {
   Received* received = Received::Objects::take();
+  received->handles.store(1, std::memory_order_relaxed);
   received->host = this;
   received->answered.store(true, std::memory_order_relaxed);
   received->stream = &tick_stream_;
   received->source_task = 0;
   received->tree = nullptr;
   received->born_ns = 0;
-  const Tuple tuple(received);
+  const Tuple tuple = Tuple::adopt(received);
   guarded("execute() of a tick", [&] { bolt_->execute(tuple); });
 }
 
@@ -229,8 +243,13 @@ void BoltHost::do_emit(std::string_view stream, std::span<const Tuple> anchors, 
     const auto& received = static_cast<const Received&>(*anchor.data());
     if (!received.answered.load(std::memory_order_relaxed)) anchors_.push_back(received.slot);
   }
+  const std::int64_t born_ns = birth_of_child(anchors);
+  if (ParcelPtr parcel = pack(number, values, born_ns)) {
+    commands_.emit(number, task, anchors_, std::move(parcel), task_.outputs[number].told);
+    return;
+  }
   find_kept(anchors, values.all());
-  add_birth(number, values, birth_of_child(anchors));
+  add_birth(number, values, born_ns);
   commands_.emit(number, task, anchors_, values.all(), kept_values_);
 }
 
@@ -241,7 +260,7 @@ void BoltHost::find_kept(std::span<const Tuple> anchors, std::span<const Value> 
     if (payload == nullptr || payload->size() < least_kept) continue;
     const auto look_in = [&](const Received& received) {
       const std::size_t place = place_of(*payload, received.values.all());
-      if (received.answered.load() || place == received.values.size()) return false;
+      if (received.answered.load() || place == received.values.size() || !received.java_has_values) return false;
       kept_values_.resize(i + 1);
       kept_values_[i] = JavaValue{received.slot, static_cast<std::uint32_t>(place)};
       return true;
@@ -265,7 +284,7 @@ std::int64_t BoltHost::birth_of_child(std::span<const Tuple> anchors) const {
 void BoltHost::answer(Answer answer, const Tuple& tuple) {
   if (!tuple) return;
   auto& received = static_cast<Received&>(*tuple.data());
-  if (answer == Answer::reset ? received.answered.load() : received.answered.exchange(true)) return;
+  if (answer == Answer::reset ? received.answered.load() : received.note_answer()) return;
   put(answer, received.slot);
 }
 

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <utility>
 #include <vector>
@@ -14,9 +15,17 @@
 #include <iotcloud/topology/storm/shim/answer_queue.h>
 #include <iotcloud/topology/storm/shim/call_timer.h>
 #include <iotcloud/topology/storm/shim/kept_tuples.h>
+#include <iotcloud/topology/storm/shim/parcel.h>
 #include <iotcloud/topology/storm/shim/task_host.h>
 
 namespace iotcloud::topology::storm {
+
+/// The values of a tuple that Java hands over.
+struct HandedValues {
+  std::span<const std::byte> bytes{};  ///< as in value_format.h, with
+  JavaArrays* arrays = nullptr;
+  ParcelPtr parcel = nullptr;  ///< has the values, if there is one
+};
 
 /// A bolt's task. Answers (acks, fails, time-outs that begin anew, errors) that come from other threads wait until Java
 /// fetches them (take_answers()), which the queue tells it to do.
@@ -28,9 +37,8 @@ class BoltHost final : public TaskHost, private OutputCollector {
   ~BoltHost() override;
 
   /// Executes a tuple. \param slot the tuple's for Java. \param input the number of its stream among the task's
-  /// inputs. \param values, arrays as in value_format.h
-  std::size_t execute(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values,
-                      JavaArrays* arrays = nullptr);
+  /// inputs.
+  std::size_t execute(std::uint32_t slot, std::size_t input, int source_task, HandedValues values);
   std::size_t tick();
   std::size_t take_answers();
 
@@ -39,8 +47,7 @@ class BoltHost final : public TaskHost, private OutputCollector {
   bool keeps() const { return kept_ != nullptr; }
   /// Queues a tuple; waits for room if its input has no keep_last. \return the slot of the tuple that it replaces,
   /// which Java acks; -1: it replaces none
-  std::int64_t keep(std::uint32_t slot, std::size_t input, int source_task, std::span<const std::byte> values,
-                    JavaArrays* arrays = nullptr);
+  std::int64_t keep(std::uint32_t slot, std::size_t input, int source_task, HandedValues values);
   void request_tick() { kept_->request_tick(); }
   /// Waits for a tuple, a tick or answers, and lets the bolt execute them. \return as execute(); -1: end_keeping() was
   /// called.
@@ -63,7 +70,7 @@ class BoltHost final : public TaskHost, private OutputCollector {
   void report_error(const std::string& text) override;
 
   Received* receive(std::uint32_t slot, std::size_t input, int source_task);
-  void decode(Received& received, std::size_t input, std::span<const std::byte> values, JavaArrays* arrays) const;
+  void fill(Received& received, std::size_t input, HandedValues& values) const;
   /// Lets the bolt execute a tuple.
   void run(const Tuple& tuple, std::size_t input);
   void run_tick();

@@ -24,33 +24,39 @@ std::byte* put(std::byte* at, Numbers... numbers) {
 
 void CommandWriter::emit(std::uint16_t stream, int task, std::span<const std::uint32_t> anchors,
                          std::span<const Value> values, JavaValues kept) {
-  const std::size_t arrays = look_over(values, kept);
-  const std::size_t size = 1 + 2 + 4 + 4 + anchors.size_bytes() + encoded_size(values, elsewhere_);
-  std::byte* at =
-      put(room(size, arrays), std::uint8_t{1}, stream, std::int32_t{task}, static_cast<std::uint32_t>(anchors.size()));
-  for (const std::uint32_t slot : anchors) at = put(at, slot);
-  write(values, at);
+  elsewhere_.assign(kept.begin(), kept.end());
+  const std::size_t arrays = find_arrays(values, elsewhere_);
+  write(values, begin_emit(stream, task, anchors, encoded_size(values, elsewhere_), arrays));
 }
 
 void CommandWriter::emit(std::uint16_t stream, int task, const std::uint64_t* id, std::span<const Value> values) {
-  const std::size_t arrays = look_over(values, {});
-  const std::size_t size = 1 + 2 + 4 + 1 + 8 + encoded_size(values, elsewhere_);
-  std::byte* at = put(room(size, arrays), std::uint8_t{7}, stream, std::int32_t{task},
-                      static_cast<std::uint8_t>(id != nullptr ? 1 : 0), id != nullptr ? *id : std::uint64_t{0});
-  write(values, at);
+  elsewhere_.clear();
+  const std::size_t arrays = find_arrays(values, elsewhere_);
+  write(values, begin_emit(stream, task, id, encoded_size(values, elsewhere_), arrays));
 }
 
-std::size_t CommandWriter::look_over(std::span<const Value> values, JavaValues kept) {
-  elsewhere_.assign(kept.begin(), kept.end());
-  std::size_t bytes = 0;
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    const auto* payload = std::get_if<Payload>(&values[i]);
-    if (payload == nullptr || payload->size() < least_array || (i < elsewhere_.size() && elsewhere_[i])) continue;
-    elsewhere_.resize(std::max(elsewhere_.size(), i + 1));
-    elsewhere_[i] = JavaValue{};
-    bytes += payload->size();
-  }
-  return bytes;
+void CommandWriter::emit(std::uint16_t stream, int task, std::span<const std::uint32_t> anchors, ParcelPtr&& parcel,
+                         std::span<const std::size_t> told) {
+  write(std::move(parcel), told, begin_emit(stream, task, anchors, encoded_parcel_size(parcel->values.all(), told), 0));
+}
+
+void CommandWriter::emit(std::uint16_t stream, int task, const std::uint64_t* id, ParcelPtr&& parcel,
+                         std::span<const std::size_t> told) {
+  write(std::move(parcel), told, begin_emit(stream, task, id, encoded_parcel_size(parcel->values.all(), told), 0));
+}
+
+std::byte* CommandWriter::begin_emit(std::uint16_t stream, int task, std::span<const std::uint32_t> anchors,
+                                     std::size_t values, std::size_t arrays) {
+  std::byte* at = put(room(1 + 2 + 4 + 4 + anchors.size_bytes() + values, arrays), std::uint8_t{1}, stream,
+                      std::int32_t{task}, static_cast<std::uint32_t>(anchors.size()));
+  for (const std::uint32_t slot : anchors) at = put(at, slot);
+  return at;
+}
+
+std::byte* CommandWriter::begin_emit(std::uint16_t stream, int task, const std::uint64_t* id, std::size_t values,
+                                     std::size_t arrays) {
+  return put(room(1 + 2 + 4 + 1 + 8 + values, arrays), std::uint8_t{7}, stream, std::int32_t{task},
+             static_cast<std::uint8_t>(id != nullptr ? 1 : 0), id != nullptr ? *id : std::uint64_t{0});
 }
 
 void CommandWriter::write(std::span<const Value> values, std::byte* at) {
@@ -59,6 +65,11 @@ void CommandWriter::write(std::span<const Value> values, std::byte* at) {
       sink_.add_array(std::get<Payload>(values[i]).bytes());
   }
   encode_values(values, at, elsewhere_);
+}
+
+void CommandWriter::write(ParcelPtr&& parcel, std::span<const std::size_t> told, std::byte* at) noexcept {
+  const Parcel& packed = *parcel.release();
+  encode_parcel(&packed, packed.count(), packed.values.all(), told, at);
 }
 
 void CommandWriter::error(std::string_view text) {

@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include <iotcloud/topology/storm/shim/parcel.h>
 #include <iotcloud/topology/storm/value_format.h>
 #include <iotcloud/topology/value.h>
 
@@ -47,6 +48,12 @@ class CommandWriter {
             JavaValues kept = {});
   /// As emit(), by a spout. \param id nullptr: nobody tracks the tuple.
   void emit(std::uint16_t stream, int task, const std::uint64_t* id, std::span<const Value> values);
+  /// The same, of values that stay in C++, whose parcel is Java's from now on. \param told as in task_description.h.
+  /// \throws ValueFormatError, and leaves the parcel as it is.
+  void emit(std::uint16_t stream, int task, std::span<const std::uint32_t> anchors, ParcelPtr&& parcel,
+            std::span<const std::size_t> told);
+  void emit(std::uint16_t stream, int task, const std::uint64_t* id, ParcelPtr&& parcel,
+            std::span<const std::size_t> told);
   void ack(std::uint32_t slot) { about(2, slot); }
   void fail(std::uint32_t slot) { about(3, slot); }
   void reset_timeout(std::uint32_t slot) { about(4, slot); }
@@ -59,12 +66,16 @@ class CommandWriter {
 
  private:
   void about(std::uint8_t kind, std::uint32_t slot);
+  // Write what stands before the values, which have so many bytes, and arrays of so many. \return where these go
+  std::byte* begin_emit(std::uint16_t stream, int task, std::span<const std::uint32_t> anchors, std::size_t values,
+                        std::size_t arrays);
+  std::byte* begin_emit(std::uint16_t stream, int task, const std::uint64_t* id, std::size_t values,
+                        std::size_t arrays);
   /// Room for a command of `size` bytes, for which Java is given arrays of so many bytes.
   std::byte* room(std::size_t size, std::size_t arrays = 0);
-  /// Fills elsewhere_: the large payloads that Java does not keep become arrays. \return the bytes of these
-  std::size_t look_over(std::span<const Value> values, JavaValues kept);
   /// Writes the values, after Java was given its arrays.
   void write(std::span<const Value> values, std::byte* at);
+  static void write(ParcelPtr&& parcel, std::span<const std::size_t> told, std::byte* at) noexcept;
 
   std::span<std::byte> buffer_;
   CommandSink& sink_;

@@ -1,11 +1,15 @@
 // The native methods of iotcloud.storm.Native: each finds its object by the handle that Java keeps, and turns C++
 // exceptions into Java's.
+#include <algorithm>
 #include <cstdint>
 #include <exception>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
+#include <utility>
+#include <variant>
 #include <vector>
 
 #include <jni.h>
@@ -16,6 +20,7 @@
 #include <iotcloud/topology/storm/shim/bolt_host.h>
 #include <iotcloud/topology/storm/shim/component_source.h>
 #include <iotcloud/topology/storm/shim/grouping_host.h>
+#include <iotcloud/topology/storm/shim/parcel.h>
 #include <iotcloud/topology/storm/shim/spout_host.h>
 #include <iotcloud/topology/storm/value_format.h>
 
@@ -23,15 +28,17 @@ namespace {
 
 using namespace iotcloud::topology::storm;
 using iotcloud::topology::Payload;
+using iotcloud::topology::Values;
 namespace config = iotcloud::config;
 
 /// Of each arena. Less than other processes keep: a JVM's compilers take and free much, too.
 constexpr std::size_t most_freed_memory = std::size_t{16} << 20;
 
 JavaVM* machine = nullptr;
-jclass native_class = nullptr;     // iotcloud.storm.Native
-jmethodID log_method = nullptr;    // static void log(int level, byte[] part, byte[] text)
-jmethodID apply_method = nullptr;  // of iotcloud.storm.NativeTask
+jclass native_class = nullptr;      // iotcloud.storm.Native
+jclass byte_array_class = nullptr;  // byte[]
+jmethodID log_method = nullptr;     // static void log(int level, byte[] part, byte[] text)
+jmethodID apply_method = nullptr;   // of iotcloud.storm.NativeTask
 jmethodID grow_method = nullptr;
 jmethodID add_array_method = nullptr;
 jmethodID wake_method = nullptr;
@@ -169,17 +176,52 @@ class ArraysOfTuple final : public JavaArrays {
   jsize next_ = 0;
 };
 
-/// Hands a tuple, whose values are in the task's input, to its bolt. \param arrays null: it has no large payload
+/// A tuple's parcel, whose address Java keeps as a number.
+ParcelPtr parcel_at(jlong address) {
+  return ParcelPtr(&object_at<Parcel>(address));
+}
+
+/// Hands a tuple to its bolt. \param parcel has the values; 0: they are in the first `size` bytes of the task's input
+/// and in `arrays`, which is null when there are none.
 template <typename Method>
 jint hand_over(JNIEnv* env, jlong handle, Method method, jint slot, jint input, jint source_task, jint size,
-               jobjectArray arrays) {
+               jobjectArray arrays, jlong parcel) {
   return guarded(env, [&] {
     const Task& task = task_at(handle);
+    const auto call = [&](HandedValues values) {
+      return static_cast<jint>(std::invoke(method, *task.bolt, static_cast<std::uint32_t>(slot),
+                                           static_cast<std::size_t>(input), source_task, std::move(values)));
+    };
+    if (parcel != 0) return call({.parcel = parcel_at(parcel)});
     ArraysOfTuple large(env, arrays);
-    return static_cast<jint>(
-        std::invoke(method, *task.bolt, static_cast<std::uint32_t>(slot), static_cast<std::size_t>(input), source_task,
-                    task.input.first(static_cast<std::size_t>(size)), arrays != nullptr ? &large : nullptr));
+    return call({task.input.first(static_cast<std::size_t>(size)), arrays != nullptr ? &large : nullptr});
   });
+}
+
+/// A parcel's values for Java: their bytes, and the arrays that are not among these.
+jobjectArray unpack(JNIEnv* env, ParcelPtr parcel) {
+  Values& values = parcel->values;
+  if (parcel->born_ms) values.add(*parcel->born_ms);
+  std::vector<std::optional<JavaValue>> elsewhere;
+  find_arrays(values.all(), elsewhere);
+  std::string bytes(encoded_size(values.all(), elsewhere), '\0');
+  encode_values(values.all(), reinterpret_cast<std::byte*>(bytes.data()), elsewhere);
+  const auto arrays =
+      std::count_if(elsewhere.begin(), elsewhere.end(), [](const auto& one) { return one.has_value(); });
+  jobjectArray all = env->NewObjectArray(static_cast<jsize>(1 + arrays), byte_array_class, nullptr);
+  check(env);
+  jsize next = 0;
+  const auto add = [&](std::string_view of) {
+    jbyteArray array = bytes_of(env, of);
+    check(env);
+    env->SetObjectArrayElement(all, next++, array);
+    env->DeleteLocalRef(array);
+  };
+  add(bytes);
+  for (std::size_t i = 0; i < elsewhere.size(); ++i) {
+    if (elsewhere[i]) add(std::get<Payload>(values[i]).text());
+  }
+  return all;
 }
 
 struct GroupingTask {
@@ -219,7 +261,9 @@ JNIEXPORT jint JNICALL JNI_OnLoad(JavaVM* vm, void*) {
   JNIEnv* env = environment();
   const jclass found = env->FindClass("iotcloud/storm/Native");
   const jclass task = env->FindClass("iotcloud/storm/NativeTask");
-  if (found == nullptr || task == nullptr) return JNI_ERR;
+  const jclass bytes = env->FindClass("[B");
+  if (found == nullptr || task == nullptr || bytes == nullptr) return JNI_ERR;
+  byte_array_class = static_cast<jclass>(env->NewGlobalRef(bytes));
   native_class = static_cast<jclass>(env->NewGlobalRef(found));
   log_method = env->GetStaticMethodID(native_class, "log", "(I[B[B)V");
   apply_method = env->GetMethodID(task, "apply", "(I)V");
@@ -271,8 +315,13 @@ JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_close(JNIEnv* env, jclass, jlo
 }
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_execute(JNIEnv* env, jclass, jlong handle, jint slot, jint input,
-                                                          jint source_task, jint size, jobjectArray arrays) {
-  return hand_over(env, handle, &BoltHost::execute, slot, input, source_task, size, arrays);
+                                                          jint source_task, jint size, jobjectArray arrays,
+                                                          jlong parcel) {
+  return hand_over(env, handle, &BoltHost::execute, slot, input, source_task, size, arrays, parcel);
+}
+
+JNIEXPORT jobjectArray JNICALL Java_iotcloud_storm_Native_unpack(JNIEnv* env, jclass, jlong parcel) {
+  return guarded(env, [&] { return unpack(env, parcel_at(parcel)); });
 }
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_tick(JNIEnv* env, jclass, jlong handle) {
@@ -288,8 +337,8 @@ JNIEXPORT jboolean JNICALL Java_iotcloud_storm_Native_keeps(JNIEnv*, jclass, jlo
 }
 
 JNIEXPORT jint JNICALL Java_iotcloud_storm_Native_keep(JNIEnv* env, jclass, jlong handle, jint slot, jint input,
-                                                       jint source_task, jint size, jobjectArray arrays) {
-  return hand_over(env, handle, &BoltHost::keep, slot, input, source_task, size, arrays);
+                                                       jint source_task, jint size, jobjectArray arrays, jlong parcel) {
+  return hand_over(env, handle, &BoltHost::keep, slot, input, source_task, size, arrays, parcel);
 }
 
 JNIEXPORT void JNICALL Java_iotcloud_storm_Native_requestTick(JNIEnv*, jclass, jlong handle) {

@@ -60,6 +60,10 @@ std::size_t SpoutHost::fail(MessageId id) {
 void SpoutHost::do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) {
   require_own_call();
   const std::uint16_t number = checked_stream(stream, values, task);
+  if (ParcelPtr parcel = pack(number, values, 0)) {
+    commands_.emit(number, task, id, std::move(parcel), task_.outputs[number].told);
+    return;
+  }
   add_birth(number, values, 0);
   commands_.emit(number, task, id, values.all());
 }

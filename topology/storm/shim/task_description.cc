@@ -44,6 +44,8 @@ TaskDescription read(const Json& json) {
     read_stream(each, output);
     output.direct = each.at("direct");
     each.at("targets").get_to(output.targets);
+    output.parcels = each.at("parcels");
+    each.at("told").get_to(output.told);
   }
   return task;
 }

@@ -34,6 +34,10 @@ struct TaskDescription {
   struct Output : Stream {
     bool direct = false;
     std::vector<int> targets;  ///< the tasks that read it, ascending; only of a direct stream
+    /// Each tuple goes to one task of a bolt of C++, which may be in this process: one with a large payload travels in
+    /// a parcel (parcel.h).
+    bool parcels = false;
+    std::vector<std::size_t> told;  ///< the places of the values by which Storm groups such a stream's tuples
   };
 
   /// \throws config::Error when the text is none: the jar's Java and C++ are of different builds.

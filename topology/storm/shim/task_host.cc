@@ -102,10 +102,20 @@ std::uint16_t TaskHost::checked_stream(std::string_view name, const Values& valu
   return static_cast<std::uint16_t>(stream - task_.outputs.begin());
 }
 
+ParcelPtr TaskHost::pack(std::uint16_t stream, Values& values, std::int64_t born_ns) const {
+  const TaskDescription::Output& output = task_.outputs[stream];
+  ParcelPtr parcel = output.parcels ? Parcel::pack(values) : nullptr;
+  if (parcel && output.births) parcel->born_ms = birth_ms(born_ns);
+  return parcel;
+}
+
 void TaskHost::add_birth(std::uint16_t stream, Values& values, std::int64_t born_ns) const {
-  if (!task_.outputs[stream].births) return;
+  if (task_.outputs[stream].births) values.add(birth_ms(born_ns));
+}
+
+std::int64_t TaskHost::birth_ms(std::int64_t born_ns) const {
   const std::int64_t age_ns = born_ns == 0 ? 0 : clock_.now().time_since_epoch().count() - born_ns;
-  values.add(clock_.wall_ms() - age_ns / ns_in_ms);
+  return clock_.wall_ms() - age_ns / ns_in_ms;
 }
 
 std::int64_t TaskHost::birth_of(std::int64_t wall_ms) const {

@@ -70,6 +70,8 @@ class TaskHost {
   /// The stream of that name, checked as our runtime checks it: the number of values, and the task of a direct stream.
   /// \throws std::invalid_argument when they do not fit.
   std::uint16_t checked_stream(std::string_view name, const Values& values, int task) const;
+  /// Packs the values of a tuple that travels in a parcel. \param born_ns as add_birth()'s. \return null: it does not.
+  ParcelPtr pack(std::uint16_t stream, Values& values, std::int64_t born_ns) const;
   /// Adds the birth to the values of a stream that has it. \param born_ns by the clock; 0: now
   void add_birth(std::uint16_t stream, Values& values, std::int64_t born_ns) const;
   /// The clock's time at which a tuple was born. \param wall_ms as its birth_field says
@@ -86,6 +88,7 @@ class TaskHost {
 
  private:
   config::Labels labels() const;
+  std::int64_t birth_ms(std::int64_t born_ns) const;
   void write_error(std::string_view what, std::string_view why);
 };
 

@@ -36,6 +36,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
   private transient OutputCollector collector;
   private transient NativeTask task;
   private transient Slots slots;
+  private transient Parcel.Finder parcels;
   private transient int executed;
   private transient boolean flushes;
   private transient Map<Integer, List<Source>> sources;
@@ -86,6 +87,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
     due = new AtomicInteger();
     collector = out;
     slots = new Slots();
+    parcels = new Parcel.Finder();
     executed = NONE;
     sources = sources(context);
     oneInput = Description.inputs(context).size() == 1;
@@ -93,8 +95,8 @@ public class CppBolt extends CppComponent implements IRichBolt {
     flushes = batch instanceof Number && ((Number) batch).intValue() > 1;
     try {
       Native.load(Description.folder(context));
-      task = new NativeTask(Description.of(origin, context),
-          Description.outputs(context), new BoltCollector());
+      List<Output> outputs = Description.outputs(context);
+      task = new NativeTask(Description.of(origin, context, outputs), outputs, new BoltCollector());
       if (Native.isSpout(task.handle)) {
         throw new IllegalArgumentException(context.getThisComponentId() + " is a spout in C++, not a bolt");
       }
@@ -154,14 +156,15 @@ public class CppBolt extends CppComponent implements IRichBolt {
   }
 
   private void executeNow(Tuple tuple) {
-    int size = write(tuple);
+    long parcel = parcels.take(tuple);
+    int size = parcel != 0 ? 0 : write(tuple);
     if (size == NONE) {
       return;
     }
-    byte[][] arrays = task.input.arrays();
+    byte[][] arrays = parcel != 0 ? null : task.input.arrays();
     int slot = slots.put(tuple);
     executed = slot;
-    task.applyHere(Native.execute(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays));
+    task.applyHere(Native.execute(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays, parcel));
     executed = NONE;
   }
 
@@ -179,22 +182,23 @@ public class CppBolt extends CppComponent implements IRichBolt {
 
   private void keep(Tuple tuple) {
     int slot;
+    long parcel = parcels.take(tuple);
     int size;
     byte[][] arrays;
     lock.lock();
     try {
-      size = write(tuple);
+      size = parcel != 0 ? 0 : write(tuple);
       if (size == NONE) {
         return;
       }
-      arrays = task.input.arrays();
+      arrays = parcel != 0 ? null : task.input.arrays();
       slot = slots.put(tuple);
     } finally {
       lock.unlock();
     }
     runDue(ANSWERS);
     // Without the lock: it waits while too many tuples wait, and the keeper needs the lock.
-    int replaced = Native.keep(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays);
+    int replaced = Native.keep(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays, parcel);
     if (replaced >= 0) {
       lock.lock();
       try {
@@ -324,9 +328,9 @@ public class CppBolt extends CppComponent implements IRichBolt {
     }
 
     @Override
-    public void emit(String stream, int to, int[] anchors, int count, List<Object> values) {
+    public List<Integer> emit(String stream, int to, int[] anchors, int count, List<Object> values) {
       try {
-        emitNow(stream, to, anchors, count, values);
+        return emitNow(stream, to, anchors, count, values);
       } catch (GroupingError error) {
         collector.reportError(new ComponentError(error.getMessage()));
         for (int i = 0; i < count; i++) {
@@ -335,6 +339,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
         if (executed != NONE) {
           failNow(executed);
         }
+        return Collections.emptyList();
       }
     }
 
@@ -345,41 +350,43 @@ public class CppBolt extends CppComponent implements IRichBolt {
       }
     }
 
-    private void emitNow(String stream, int to, int[] anchors, int count, List<Object> values) {
+    private List<Integer> emitNow(String stream, int to, int[] anchors, int count, List<Object> values) {
       if (count == 1) {
-        emit(stream, to, slots.get(anchors[0]), values);
-      } else if (count > 1) {
-        emit(stream, to, new Anchors(anchors, count), values);
-      } else if (to < 0) {
-        collector.emit(stream, values);
-      } else {
-        collector.emitDirect(to, stream, values);
+        return emit(stream, to, slots.get(anchors[0]), values);
       }
+      if (count > 1) {
+        return emit(stream, to, new Anchors(anchors, count), values);
+      }
+      if (to < 0) {
+        return collector.emit(stream, values);
+      }
+      collector.emitDirect(to, stream, values);
+      return Collections.singletonList(to);
     }
 
-    private void emit(String stream, int to, Tuple anchor, List<Object> values) {
+    private List<Integer> emit(String stream, int to, Tuple anchor, List<Object> values) {
       if (to < 0) {
-        collector.emit(stream, anchor, values);
-      } else {
-        collector.emitDirect(to, stream, anchor, values);
+        return collector.emit(stream, anchor, values);
       }
+      collector.emitDirect(to, stream, anchor, values);
+      return Collections.singletonList(to);
     }
 
-    private void emit(String stream, int to, List<Tuple> anchors, List<Object> values) {
+    private List<Integer> emit(String stream, int to, List<Tuple> anchors, List<Object> values) {
       if (to < 0) {
-        collector.emit(stream, anchors, values);
-      } else {
-        collector.emitDirect(to, stream, anchors, values);
+        return collector.emit(stream, anchors, values);
       }
+      collector.emitDirect(to, stream, anchors, values);
+      return Collections.singletonList(to);
     }
 
     @Override
-    public void emit(String stream, int to, Long id, List<Object> values) {
+    public List<Integer> emit(String stream, int to, Long id, List<Object> values) {
       throw new IllegalStateException("a bolt emits as a spout");
     }
 
     @Override
-    public Object kept(int slot, int place) {
+    public Object value(int slot, int place) {
       return slots.get(slot).getValue(place);
     }
 

@@ -43,8 +43,8 @@ public class CppSpout extends CppComponent implements IRichSpout {
     try {
       late = new ArrayDeque<>();
       Native.load(Description.folder(context));
-      task = new NativeTask(Description.of(origin, context),
-          Description.outputs(context), new Emitter(collector));
+      List<Output> outputs = Description.outputs(context);
+      task = new NativeTask(Description.of(origin, context, outputs), outputs, new Emitter(collector));
       if (!Native.isSpout(task.handle)) {
         throw new IllegalArgumentException(context.getThisComponentId() + " is a bolt in C++, not a spout");
       }
@@ -187,29 +187,30 @@ public class CppSpout extends CppComponent implements IRichSpout {
     }
 
     @Override
-    public void emit(String stream, int to, Long id, List<Object> values) {
+    public List<Integer> emit(String stream, int to, Long id, List<Object> values) {
       Sent sent = id == null ? null : sample.next(id);
       try {
         if (to < 0) {
-          collector.emit(stream, values, sent);
-        } else {
-          collector.emitDirect(to, stream, values, sent);
+          return collector.emit(stream, values, sent);
         }
+        collector.emitDirect(to, stream, values, sent);
+        return Collections.singletonList(to);
       } catch (GroupingError error) {
         collector.reportError(new ComponentError(error.getMessage()));
         if (sent != null) {
           fail(sent);
         }
+        return Collections.emptyList();
       }
     }
 
     @Override
-    public void emit(String stream, int to, int[] anchors, int count, List<Object> values) {
+    public List<Integer> emit(String stream, int to, int[] anchors, int count, List<Object> values) {
       throw new IllegalStateException("a spout emits as a bolt");
     }
 
     @Override
-    public Object kept(int slot, int place) {
+    public Object value(int slot, int place) {
       throw new IllegalStateException("a spout emits a bolt's values");
     }
 

@@ -1,6 +1,7 @@
 package iotcloud.storm;
 
 import java.util.ArrayList;
+import java.util.Arrays;
 import java.util.Collection;
 import java.util.Collections;
 import java.util.HashMap;
@@ -8,6 +9,7 @@ import java.util.LinkedHashMap;
 import java.util.List;
 import java.util.Map;
 import java.util.TreeMap;
+import java.util.stream.Collectors;
 import org.apache.storm.Config;
 import org.apache.storm.generated.GlobalStreamId;
 import org.apache.storm.generated.Grouping;
@@ -37,18 +39,15 @@ final class Description {
   }
 
   /** The streams that a component declares, in an order that does not depend on the worker. */
-  static List<String> outputs(TopologyContext context) {
-    List<String> streams = new ArrayList<>();
-    for (String stream : context.getThisStreams()) {
-      if (!stream.startsWith("__")) {
-        streams.add(stream);
-      }
-    }
-    Collections.sort(streams);
-    return streams;
+  static List<Output> outputs(TopologyContext context) {
+    List<Output> outputs = new ArrayList<>();
+    context.getThisStreams().stream().filter(stream -> !stream.startsWith("__")).sorted()
+        .forEach(stream -> outputs.add(new Output(context, stream)));
+    return outputs;
   }
 
-  static String of(Origin origin, TopologyContext context) {
+  /** `emits`: the component's outputs(). */
+  static String of(Origin origin, TopologyContext context, List<Output> emits) {
     String component = context.getThisComponentId();
     List<Object> inputs = new ArrayList<>();
     for (GlobalStreamId source : inputs(context)) {
@@ -60,13 +59,16 @@ final class Description {
       inputs.add(input);
     }
     List<Object> outputs = new ArrayList<>();
-    for (String stream : outputs(context)) {
+    for (Output emitted : emits) {
+      String stream = emitted.stream;
       boolean direct = context.getRawTopology().get_spouts().containsKey(component)
           ? context.getRawTopology().get_spouts().get(component).get_common().get_streams().get(stream).is_direct()
           : context.getRawTopology().get_bolts().get(component).get_common().get_streams().get(stream).is_direct();
       Map<String, Object> output = stream(component, stream, context.getThisOutputFields(stream).toList());
       output.put("direct", direct);
       output.put("targets", direct ? readers(context, stream) : Collections.emptyList());
+      output.put("parcels", emitted.parcels);
+      output.put("told", Arrays.stream(emitted.told).boxed().collect(Collectors.toList()));
       outputs.add(output);
     }
     return json(origin, context, component, context.getThisTaskId(), inputs, outputs);
@@ -79,6 +81,8 @@ final class Description {
         context.getComponentOutputFields(component, stream.get_streamId()).toList());
     output.put("direct", false);
     output.put("targets", Collections.emptyList());
+    output.put("parcels", false);
+    output.put("told", Collections.emptyList());
     return json(origin, context, component, task, Collections.emptyList(),
         Collections.singletonList(output));
   }

@@ -98,8 +98,11 @@ final class Native {
 
   static native int close(long task);
 
-  /** `arrays`: as ValueWriter's. */
-  static native int execute(long task, int slot, int input, int sourceTask, int size, byte[][] arrays);
+  /** `size`, `arrays`: ValueWriter's; or `parcel` has the values, which C++ owns then. */
+  static native int execute(long task, int slot, int input, int sourceTask, int size, byte[][] arrays, long parcel);
+
+  /** Copies what is in a parcel, which is gone then: the bytes of the values, and the arrays that are not among these. */
+  static native byte[][] unpack(long parcel);
 
   static native int tick(long task);
 
@@ -118,7 +121,7 @@ final class Native {
   static native boolean keeps(long task);
 
   /** Queues a tuple. Returns the slot of the tuple that it replaces, which Java acks, or -1. */
-  static native int keep(long task, int slot, int input, int sourceTask, int size, byte[][] arrays);
+  static native int keep(long task, int slot, int input, int sourceTask, int size, byte[][] arrays, long parcel);
 
   static native void requestTick(long task);
 

@@ -3,10 +3,8 @@ package iotcloud.storm;
 import java.nio.ByteBuffer;
 import java.nio.ByteOrder;
 import java.nio.charset.StandardCharsets;
-import java.util.ArrayDeque;
 import java.util.ArrayList;
 import java.util.List;
-import java.util.Queue;
 import java.util.concurrent.locks.Lock;
 import java.util.concurrent.locks.LockSupport;
 
@@ -24,30 +22,21 @@ final class NativeTask {
   private static final byte ERROR = 6;
   private static final byte EMIT_OF_SPOUT = 7;
   private static final byte EXECUTES = 8;
-  // As in value_format.h.
-  private static final byte NULL = 0;
-  private static final byte NO = 1;
-  private static final byte YES = 2;
-  private static final byte INTEGER = 3;
-  private static final byte REAL = 4;
-  private static final byte STRING = 5;
-  private static final byte OF_TUPLE = 7;
-  private static final byte ARRAY = 8;
+  private static final int PARCEL = -1; // in place of a count of values
 
   /** What commands are about. */
-  interface Collector {
+  interface Collector extends ValueReader.Kept {
     /** Who emits and answers has it. */
     Lock lock();
 
     /** The commands that follow are of the execute() of this tuple. */
     void executes(int slot);
 
-    void emit(String stream, int task, int[] anchors, int count, List<Object> values);
+    /** Returns the tasks that got the tuple. */
+    List<Integer> emit(String stream, int task, int[] anchors, int count, List<Object> values);
 
-    void emit(String stream, int task, Long id, List<Object> values);
-
-    /** A value of a tuple that C++ has not answered yet. */
-    Object kept(int slot, int place);
+    /** The same, by a spout. */
+    List<Integer> emit(String stream, int task, Long id, List<Object> values);
 
     void answer(byte command, int slot);
 
@@ -68,18 +57,18 @@ final class NativeTask {
 
   final long handle;
   final ValueWriter input;
-  private final List<String> streams;
+  private final List<Output> outputs;
   private final Collector collector;
   private volatile Thread executor;
   private ByteBuffer output = newBuffer(BUFFER_SIZE);
   private int[] anchors = new int[16];
-  private byte[] scratch = new byte[64];
-  private final Queue<byte[]> arrays = new ArrayDeque<>();
+  private final ValueReader reader;
 
   /** Makes the component in C++. */
-  NativeTask(String description, List<String> streams, Collector collector) {
-    this.streams = streams;
+  NativeTask(String description, List<Output> outputs, Collector collector) {
+    this.outputs = outputs;
     this.collector = collector;
+    this.reader = new ValueReader(collector);
     this.executor = Thread.currentThread();
     handle = Native.makeTask(this, description.getBytes(StandardCharsets.UTF_8), output);
     input = new ValueWriter(BUFFER_SIZE, true, buffer -> Native.setInput(handle, buffer));
@@ -97,7 +86,7 @@ final class NativeTask {
 
   /** Called by C++: a value of the next command that it writes. */
   void addArray(byte[] array) {
-    arrays.add(array);
+    reader.addArray(array);
   }
 
   /** Called by C++, on any thread, when a spout has something to emit. */
@@ -134,7 +123,7 @@ final class NativeTask {
           collector.executes(output.getInt());
           break;
         case ERROR:
-          collector.reportError(new ComponentError(text()));
+          collector.reportError(new ComponentError(reader.text(output)));
           break;
         case ACK:
         case FAIL:
@@ -149,7 +138,7 @@ final class NativeTask {
   }
 
   private void emitOfBolt() {
-    String stream = streams.get(output.getShort());
+    Output to = outputs.get(output.getShort());
     int task = output.getInt();
     int count = output.getInt();
     if (count > anchors.length) {
@@ -158,61 +147,41 @@ final class NativeTask {
     for (int i = 0; i < count; i++) {
       anchors[i] = output.getInt();
     }
-    collector.emit(stream, task, anchors, count, values());
+    List<Object> values = values(to);
+    to.wasSent(values, collector.emit(to.stream, task, anchors, count, values));
   }
 
   private void emitOfSpout() {
-    String stream = streams.get(output.getShort());
+    Output to = outputs.get(output.getShort());
     int task = output.getInt();
     boolean tracked = output.get() != 0;
     long id = output.getLong();
-    collector.emit(stream, task, tracked ? Long.valueOf(id) : null, values());
+    List<Object> values = values(to);
+    to.wasSent(values, collector.emit(to.stream, task, tracked ? Long.valueOf(id) : null, values));
   }
 
-  private List<Object> values() {
+  private List<Object> values(Output to) {
     int count = output.getInt();
+    if (count == PARCEL) {
+      return parcel(to);
+    }
     List<Object> values = new ArrayList<>(count);
     for (int i = 0; i < count; i++) {
-      values.add(value());
+      values.add(reader.value(output));
     }
     return values;
   }
 
-  private Object value() {
-    switch (output.get()) {
-      case NULL:
-        return null;
-      case NO:
-        return Boolean.FALSE;
-      case YES:
-        return Boolean.TRUE;
-      case INTEGER:
-        return output.getLong();
-      case REAL:
-        return output.getDouble();
-      case STRING:
-        return text();
-      case OF_TUPLE:
-        return collector.kept(output.getInt(), output.getInt());
-      case ARRAY:
-        return arrays.remove();
-      default:
-        return bytes();
-    }
-  }
-
-  private String text() {
+  private Parcel parcel(Output to) {
+    long address = output.getLong();
     int size = output.getInt();
-    if (size > scratch.length) {
-      scratch = new byte[size];
+    if (to.told.length == 0) {
+      return new Parcel(address, size, null);
     }
-    output.get(scratch, 0, size);
-    return new String(scratch, 0, size, StandardCharsets.UTF_8);
-  }
-
-  private byte[] bytes() {
-    byte[] bytes = new byte[output.getInt()];
-    output.get(bytes);
-    return bytes;
+    Object[] values = new Object[size];
+    for (int place : to.told) {
+      values[place] = reader.value(output);
+    }
+    return new Parcel(address, size, values);
   }
 }
