@@ -4,11 +4,15 @@ too, ticks, answers from other threads; what `iotcloud-storm` says of them.
 
 usage: components_run_on_storm.py BUILD LIBRARY     (BUILD: build/release; LIBRARY: the library of components.cc)
 """
+import re
 import sys
+import urllib.request
 import zipfile
 from pathlib import Path
 
-from storm_case import StormCase, run
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "servers"))
+from private_server import free_ports  # noqa: E402
+from storm_case import StormCase, run  # noqa: E402
 
 COUNT = 4000
 TASKS = 4
@@ -26,6 +30,7 @@ def yaml(library, out):
 topology.name: counts
 topology.library: {library}
 conf: {{out: "{out}", count: {COUNT}}}
+metrics: {{address: "127.0.0.1:{free_ports(1)[0]}"}}
 runtime: {{max_spout_pending: 500, message_timeout: 600s}}
 engine:
   storm:
@@ -79,6 +84,7 @@ class ComponentsOnStorm(StormCase):
         damaged = [task for name in expected for task in self.counts(out, name).values() if task["damaged"]]
         self.assertEqual(damaged, [])
         self.assertTrue(all(task["ticks"] for name in expected for task in self.counts(out, name).values()))
+        self.check_parcels()
         self.check_answers()
 
     def test_storms_own_client_takes_a_packed_jar(self):
@@ -119,6 +125,16 @@ class ComponentsOnStorm(StormCase):
         for name in ("own", "direct", "picky"):
             for words in by_task[name].values():
                 self.assertEqual(words["numbers"], COUNT // TASKS, name)
+
+    def check_parcels(self):
+        """Large payloads on the way from `fussy` to `relay` and to `end` stayed in C++, as far as they stayed in a worker, and all
+        were taken or opened."""
+        pages = [urllib.request.urlopen(page, timeout=60).read().decode() for page in self.worker_pages()]
+        self.assertEqual(len(pages), 2)
+        made = [int(count) for page in pages for count in re.findall(r"^iotcloud_storm_parcels_total (\d+)", page, re.M)]
+        left = [int(count) for page in pages for count in re.findall(r"^iotcloud_storm_parcel_bytes (\d+)", page, re.M)]
+        self.assertGreater(sum(made), 0)
+        self.assertEqual(sum(left), 0)
 
     def check_answers(self):
         (topology,) = [row for row in self.table("list") if row["topology"] == "counts"]

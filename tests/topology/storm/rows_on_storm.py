@@ -197,10 +197,8 @@ metrics: {{address: "127.0.0.1:{free_ports(1)[0]}"}}
 
     def counter(self, name, words=""):
         """The sum of a counter's values at all workers."""
-        pages = {found[1] for log in self.artifacts("worker.log")
-                 if (found := re.search(r"metrics of this worker: (http://\S+/metrics)", log.read_text(errors="replace")))}
         total = 0
-        for page in pages:
+        for page in self.worker_pages():
             try:
                 text = urllib.request.urlopen(page, timeout=60).read().decode()
             except OSError:

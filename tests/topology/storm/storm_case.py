@@ -2,6 +2,7 @@
 components of components.cc write."""
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -57,6 +58,11 @@ class StormCase(unittest.TestCase):
     def artifacts(self, pattern):
         """Files that the workers left."""
         return sorted((Path(self.storm.folder) / "logs" / "workers-artifacts").rglob(pattern))
+
+    def worker_pages(self):
+        """The addresses of the pages /metrics that workers logged, of those that ended, too."""
+        return {found[1] for log in self.artifacts("worker.log")
+                if (found := re.search(r"metrics of this worker: (http://\S+/metrics)", log.read_text(errors="replace")))}
 
     def logs(self):
         """What the workers' logs say of errors, for a failure's text."""

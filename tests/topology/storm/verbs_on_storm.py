@@ -138,8 +138,7 @@ class VerbsOnStorm(StormCase):
         rows = counts()
         self.assertEqual(set(rows), {"numbers", "crash", "count"})
         self.assertEqual((rows["count"]["tasks"], rows["count"]["failed"]), (2, 0))
-        pages = {found[1] for log in self.artifacts("worker.log")
-                 if (found := re.search(r"metrics of this worker: (http://\S+/metrics)", log.read_text(errors="replace")))}
+        pages = self.worker_pages()
         self.assertEqual(len(pages), 2)
         texts = [urllib.request.urlopen(page, timeout=60).read().decode() for page in pages]
         self.assertEqual([bool(re.search(r"^test_emissions_total [1-9]", text, re.M)) for text in texts].count(True), 1)

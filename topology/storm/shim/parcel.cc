@@ -1,6 +1,6 @@
-#include <atomic>
 #include <variant>
 
+#include <iotcloud/config/metrics.h>
 #include <iotcloud/topology/runtime/tasks/pool.h>
 #include <iotcloud/topology/storm/shim/parcel.h>
 #include <iotcloud/topology/storm/value_format.h>
@@ -9,14 +9,23 @@ namespace iotcloud::topology::storm {
 
 namespace {
 
-/// Of the large payloads in all parcels.
-std::atomic<std::size_t> bytes_in_parcels{0};
+config::Counter& parcels_made() {
+  static config::Counter& counter =
+      config::process_metrics().counter("iotcloud_storm_parcels_total", "Tuples whose large payload stayed in C++");
+  return counter;
+}
 
-std::size_t large_bytes(const Values& values) {
-  std::size_t bytes = 0;
+config::Gauge& bytes_in_parcels() {
+  static config::Gauge& gauge = config::process_metrics().gauge(
+      "iotcloud_storm_parcel_bytes", "Large payloads that stay in C++ on their way to another task");
+  return gauge;
+}
+
+std::int64_t large_bytes(const Values& values) {
+  std::int64_t bytes = 0;
   for (const Value& value : values.all()) {
     const auto* payload = std::get_if<Payload>(&value);
-    if (payload != nullptr && payload->size() >= least_array) bytes += payload->size();
+    if (payload != nullptr && payload->size() >= least_array) bytes += static_cast<std::int64_t>(payload->size());
   }
   return bytes;
 }
@@ -24,9 +33,10 @@ std::size_t large_bytes(const Values& values) {
 }  // namespace
 
 ParcelPtr Parcel::pack(Values& values) {
-  const std::size_t bytes = large_bytes(values);
-  if (bytes == 0 || bytes_in_parcels.load(std::memory_order_relaxed) > most_bytes) return nullptr;
-  bytes_in_parcels.fetch_add(bytes, std::memory_order_relaxed);
+  const std::int64_t bytes = large_bytes(values);
+  if (bytes == 0 || bytes_in_parcels().value() > most_bytes) return nullptr;
+  bytes_in_parcels().add(bytes);
+  parcels_made().add();
   ParcelPtr parcel(internal::Pool<Parcel>::take());
   parcel->bytes = bytes;
   parcel->values.fill(values);
@@ -34,7 +44,7 @@ ParcelPtr Parcel::pack(Values& values) {
 }
 
 void RecycleParcel::operator()(Parcel* parcel) const noexcept {
-  if (parcel->bytes > 0) bytes_in_parcels.fetch_sub(parcel->bytes, std::memory_order_relaxed);
+  bytes_in_parcels().add(-parcel->bytes);
   parcel->values.clear();
   parcel->born_ms.reset();
   internal::Pool<Parcel>::give(parcel);

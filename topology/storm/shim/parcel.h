@@ -22,7 +22,7 @@ using ParcelPtr = std::unique_ptr<Parcel, RecycleParcel>;
 /// component of its own. Small values cross as bytes: a receiver on another core waits longer for a parcel's memory.
 struct Parcel {
   /// So many bytes of large payloads may be in parcels. What is more goes to Java as arrays, whose heap has a limit.
-  static constexpr std::size_t most_bytes = std::size_t{64} << 20;
+  static constexpr std::int64_t most_bytes = std::int64_t{64} << 20;
 
   /// Packs values, which are empty then. \return null, and the values as they were, when none is a large payload, or
   /// the parcels have too many bytes already.
@@ -32,7 +32,7 @@ struct Parcel {
 
   Values values;
   std::optional<std::int64_t> born_ms;  ///< the value of the hidden last field, if the stream has it
-  std::size_t bytes = 0;                ///< of the large payloads
+  std::int64_t bytes = 0;               ///< of the large payloads
 };
 
 }  // namespace iotcloud::topology::storm
