@@ -179,7 +179,7 @@ void check_secrets_of_storm(const TopologyDefinition& definition) {
   const StormSettings& storm = definition.storm;
   const auto section = [&] { return YamlSection(definition.root).require_section("engine").require_section("storm"); };
   const std::string problem = "the password would be in Storm's configuration, which all users of the cluster can read";
-  const std::string remedy = "put it into a file on the machines of the cluster, or among Storm's credentials";
+  const std::string remedy = "put it into a file on the machines of the cluster";
   for (const auto& [key, value] : storm.conf) {
     if (names_secret(key) || has_password(value)) section().require_section("conf").refuse(key, problem, remedy);
   }
@@ -202,7 +202,7 @@ void check_secrets(Check& check) {
   if (has_password(check.definition.registry.url)) check.definition.root.refuse("registry", problem, remedy);
   const auto check_conf = [&](YamlSection section, const Config& conf) {
     for (const auto& [key, value] : conf) {
-      if (has_password(value)) section.require_section("conf").refuse(key, problem, remedy);
+      if (names_secret(key) || has_password(value)) section.require_section("conf").refuse(key, problem, remedy);
     }
   };
   check_conf(check.definition.root, check.definition.conf);
