@@ -10,6 +10,7 @@
 namespace iotcloud::topology::storm {
 
 struct Parcel;
+/// Empties a parcel, and gives it back to the pool.
 struct RecycleParcel {
   void operator()(Parcel* parcel) const noexcept;
 };
