@@ -195,16 +195,24 @@ class Crash final : public topology::BasicBolt {
   std::filesystem::path file_;
 };
 
-/// Executes its first tuple for 3 s, longer than the deadline of those that wait behind it.
-class Slow final : public topology::BasicBolt {
+/// Emits what it gets.
+class Relay : public topology::BasicBolt {
  public:
   void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
     declarer.declare(Fields{"n", "key", "payload", "text"});
   }
   void execute(const Tuple& tuple, topology::BasicOutputCollector& collector) override {
+    collector.emit(Values(tuple.at("n"), tuple.at("key"), tuple.at("payload"), tuple.at("text")));
+  }
+};
+
+/// Executes its first tuple for 3 s, longer than the deadline of those that wait behind it.
+class Slow final : public Relay {
+ public:
+  void execute(const Tuple& tuple, topology::BasicOutputCollector& collector) override {
     if (first_) std::this_thread::sleep_for(std::chrono::seconds(3));
     first_ = false;
-    collector.emit(Values(tuple.at("n"), tuple.at("key"), tuple.at("payload"), tuple.at("text")));
+    Relay::execute(tuple, collector);
   }
 
  private:
@@ -212,30 +220,16 @@ class Slow final : public topology::BasicBolt {
 };
 
 /// Emits what it gets; throws at the first copy of every hundredth number that it gets.
-class Fussy final : public topology::BasicBolt {
+class Fussy final : public Relay {
  public:
-  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
-    declarer.declare(Fields{"n", "key", "payload", "text"});
-  }
   void execute(const Tuple& tuple, topology::BasicOutputCollector& collector) override {
     const auto n = tuple.get<std::int64_t>("n");
     if (n % 100 == 0 && refused_.insert(n).second) throw std::runtime_error("not number " + std::to_string(n));
-    collector.emit(Values(n, tuple.at("key"), tuple.at("payload"), tuple.at("text")));
+    Relay::execute(tuple, collector);
   }
 
  private:
   std::set<std::int64_t> refused_;
-};
-
-/// Emits what it gets.
-class Relay final : public topology::BasicBolt {
- public:
-  void declare_output_fields(topology::OutputFieldsDeclarer& declarer) const override {
-    declarer.declare(Fields{"n", "key", "payload", "text"});
-  }
-  void execute(const Tuple& tuple, topology::BasicOutputCollector& collector) override {
-    collector.emit(Values(tuple.at("n"), tuple.at("key"), tuple.at("payload"), tuple.at("text")));
-  }
 };
 
 /// Emits what it gets, and acks it from a thread of its own.

@@ -318,6 +318,44 @@ TEST(StormBoltHost, AnswersOfOtherThreadsWaitUntilTheyAreFetched) {
   EXPECT_THAT(task.java.taken(), ElementsAre("ack 3"));
 }
 
+/// Waits without giving up the core at once, so that two threads go on at nearly the same time.
+template <typename Condition>
+void spin_until(Condition&& holds) {
+  for (int turns = 0; !holds(); ++turns) {
+    if (turns % 1000 == 999) std::this_thread::yield();
+  }
+}
+
+TEST(StormBoltHost, OfTwoThreadsThatAnswerByOneHandleOnlyTheFirstCounts) {
+  std::atomic<const Tuple*> offered = nullptr;
+  std::atomic<bool> taken = false;
+  int pause = 0;  // turns of a loop: which of the two comes first changes from tuple to tuple
+  BoltTask task([&](const Tuple& tuple, OutputCollector& out) {
+    taken = false;
+    offered = &tuple;
+    spin_until([&] { return taken.load(); });
+    for (int i = 0, turns = ++pause % 256; i < turns; ++i) taken.load();
+    out.ack(tuple);
+    spin_until([&] { return offered == nullptr; });
+  });
+  std::jthread other([&](const std::stop_token& stop) {
+    while (!stop.stop_requested()) {
+      spin_until([&] { return offered != nullptr || stop.stop_requested(); });
+      if (const Tuple* tuple = offered) {
+        taken = true;
+        task.bolt->collector->ack(*tuple);
+        offered = nullptr;
+      }
+    }
+  });
+  for (int i = 0; i < 50'000; ++i) {
+    std::vector<std::string> answers = task.execute(3, Values("x"));
+    task.java.apply(task.host->take_answers());
+    for (const std::string& late : task.java.taken()) answers.push_back(late);
+    ASSERT_THAT(answers, ElementsAre("ack 3"));
+  }
+}
+
 TEST(StormBoltHost, ATupleThatIsDroppedIsForgotten) {
   Tuple kept;
   BoltTask task([&](const Tuple& tuple, OutputCollector&) { kept = tuple; });

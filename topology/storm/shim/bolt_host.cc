@@ -18,15 +18,6 @@ struct BoltHost::Received final : detail::TupleData {
     Objects::give(this);
   }
 
-  /// \return whether it was answered before.
-  bool note_answer() noexcept {
-    // The only handle is the caller's: no other thread can answer the tuple.
-    if (handles.load(std::memory_order_acquire) > 1) return answered.exchange(true);
-    const bool before = answered.load(std::memory_order_relaxed);
-    answered.store(true, std::memory_order_relaxed);
-    return before;
-  }
-
   BoltHost* host = nullptr;
   std::uint32_t slot = 0;
   std::size_t input = 0;
@@ -116,7 +107,7 @@ std::int64_t BoltHost::keep(std::uint32_t slot, std::size_t input, int source_ta
     const Tuple replaced = kept_->put(tuple);
     if (!replaced) return -1;
     auto& its = static_cast<Received&>(*replaced.data());
-    its.note_answer();
+    its.answered.store(true);
     superseded_.add();
     return its.slot;
   } catch (const std::exception& error) {
@@ -259,8 +250,9 @@ void BoltHost::find_kept(std::span<const Tuple> anchors, std::span<const Value> 
     const auto* payload = std::get_if<Payload>(&values[i]);
     if (payload == nullptr || payload->size() < least_kept) continue;
     const auto look_in = [&](const Received& received) {
+      if (!received.java_has_values || received.answered.load()) return false;
       const std::size_t place = place_of(*payload, received.values.all());
-      if (received.answered.load() || place == received.values.size() || !received.java_has_values) return false;
+      if (place == received.values.size()) return false;
       kept_values_.resize(i + 1);
       kept_values_[i] = JavaValue{received.slot, static_cast<std::uint32_t>(place)};
       return true;
@@ -284,7 +276,7 @@ std::int64_t BoltHost::birth_of_child(std::span<const Tuple> anchors) const {
 void BoltHost::answer(Answer answer, const Tuple& tuple) {
   if (!tuple) return;
   auto& received = static_cast<Received&>(*tuple.data());
-  if (answer == Answer::reset ? received.answered.load() : received.note_answer()) return;
+  if (answer == Answer::reset ? received.answered.load() : received.answered.exchange(true)) return;
   put(answer, received.slot);
 }
 

@@ -161,7 +161,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
     if (size == NONE) {
       return;
     }
-    byte[][] arrays = parcel != 0 ? null : task.input.arrays();
+    byte[][] arrays = task.input.arrays();
     int slot = slots.put(tuple);
     executed = slot;
     task.applyHere(Native.execute(task.handle, slot, inputOf(tuple), tuple.getSourceTask(), size, arrays, parcel));
@@ -191,7 +191,7 @@ public class CppBolt extends CppComponent implements IRichBolt {
       if (size == NONE) {
         return;
       }
-      arrays = parcel != 0 ? null : task.input.arrays();
+      arrays = task.input.arrays();
       slot = slots.put(tuple);
     } finally {
       lock.unlock();

@@ -5,14 +5,13 @@ import java.lang.invoke.VarHandle;
 import java.nio.ByteBuffer;
 import java.nio.ByteOrder;
 import java.util.AbstractList;
-import java.util.List;
 import java.util.RandomAccess;
 import org.apache.storm.tuple.Tuple;
 
 /**
- * The values of a tuple with a large payload, which stay in C++ (topology/storm/shim/parcel.h). A bolt of C++ in this worker takes them there. For
- * anybody who reads them here first (Storm, when it sends the tuple to another worker, or a component in Java) the first
- * look makes copies. Thread safe.
+ * The values of a tuple with a large payload, which stay in C++ (topology/storm/shim/parcel.h). A bolt of C++ in this worker
+ * takes them there. For anybody who reads them here first (Storm, when it sends the tuple to another worker, or a component
+ * in Java) the first look makes copies. Thread safe.
  */
 final class Parcel extends AbstractList<Object> implements RandomAccess {
   private static final VarHandle ADDRESS;

@@ -7,15 +7,6 @@ import java.util.Queue;
 
 /** Reads values that C++ wrote, as topology/storm/value_format.h describes them. One call at a time. */
 final class ValueReader {
-  private static final byte NULL = 0;
-  private static final byte NO = 1;
-  private static final byte YES = 2;
-  private static final byte INTEGER = 3;
-  private static final byte REAL = 4;
-  private static final byte STRING = 5;
-  private static final byte OF_TUPLE = 7;
-  private static final byte ARRAY = 8;
-
   /** A value of a tuple that C++ has not answered yet. */
   interface Kept {
     Object value(int slot, int place);
@@ -36,24 +27,26 @@ final class ValueReader {
 
   Object value(ByteBuffer from) {
     switch (from.get()) {
-      case NULL:
+      case ValueKind.NULL:
         return null;
-      case NO:
+      case ValueKind.NO:
         return Boolean.FALSE;
-      case YES:
+      case ValueKind.YES:
         return Boolean.TRUE;
-      case INTEGER:
+      case ValueKind.INTEGER:
         return from.getLong();
-      case REAL:
+      case ValueKind.REAL:
         return from.getDouble();
-      case STRING:
+      case ValueKind.STRING:
         return text(from);
-      case OF_TUPLE:
+      case ValueKind.OF_TUPLE:
         return kept.value(from.getInt(), from.getInt());
-      case ARRAY:
+      case ValueKind.ARRAY:
         return arrays.remove();
-      default:
+      case ValueKind.PAYLOAD:
         return bytes(from);
+      default:
+        throw new IllegalStateException("C++ and Java of this jar are of different builds: they have other kinds of values");
     }
   }
 

@@ -10,14 +10,6 @@ import java.util.function.Consumer;
 
 /** Writes a tuple's values for C++, as topology/storm/value_format.h describes them. */
 final class ValueWriter {
-  private static final byte NULL = 0;
-  private static final byte NO = 1;
-  private static final byte YES = 2;
-  private static final byte INTEGER = 3;
-  private static final byte REAL = 4;
-  private static final byte STRING = 5;
-  private static final byte PAYLOAD = 6;
-  private static final byte ARRAY = 8;
   private static final int LEAST_ARRAY = 16 << 10;
 
   private final boolean apart;
@@ -69,17 +61,17 @@ final class ValueWriter {
 
   private void write(Object value, int place) {
     if (value instanceof Long || value instanceof Integer || value instanceof Short || value instanceof Byte) {
-      buffer.put(INTEGER).putLong(((Number) value).longValue());
+      buffer.put(ValueKind.INTEGER).putLong(((Number) value).longValue());
     } else if (value instanceof String) {
-      bytes(STRING, ((String) value).getBytes(StandardCharsets.UTF_8));
+      bytes(ValueKind.STRING, ((String) value).getBytes(StandardCharsets.UTF_8));
     } else if (value instanceof byte[]) {
       payload((byte[]) value);
     } else if (value instanceof Double || value instanceof Float) {
-      buffer.put(REAL).putDouble(((Number) value).doubleValue());
+      buffer.put(ValueKind.REAL).putDouble(((Number) value).doubleValue());
     } else if (value instanceof Boolean) {
-      buffer.put((Boolean) value ? YES : NO);
+      buffer.put((Boolean) value ? ValueKind.YES : ValueKind.NO);
     } else if (value == null) {
-      buffer.put(NULL);
+      buffer.put(ValueKind.NULL);
     } else {
       throw new NoValue(place, value.getClass());
     }
@@ -87,10 +79,10 @@ final class ValueWriter {
 
   private void payload(byte[] bytes) {
     if (apart && bytes.length >= LEAST_ARRAY) {
-      buffer.put(ARRAY);
+      buffer.put(ValueKind.ARRAY);
       arrays.add(bytes);
     } else {
-      bytes(PAYLOAD, bytes);
+      bytes(ValueKind.PAYLOAD, bytes);
     }
   }
 
