@@ -176,6 +176,15 @@ def numbered(programs, report, scale, tracked, most):
     return {**most, OURS: statistics.median(line["per_second"] for line in lines[OURS])} if lines[OURS] else {}
 
 
+def with_births(programs, report, scale, tracked):
+    """Measures our highest rate in the chain when tuples record their birth, as they do for deadlines and where bolts send to
+    brokers."""
+    name = f"{title('chain', tracked)}, births"
+    lines = turns(programs, report, scale, name, (OURS,), scale.rounds,
+                  lambda _: ["--births", "--warm-up", 0.5, "--seconds", scale.seconds, *["--tracked"] * tracked])
+    report.compare(f"{name}: at most", "M tuples/s", column(lines, lambda line: line["per_second"] / 1e6))
+
+
 def latency(programs, report, scale, dag, tracked, most, load):
     """Measures latency at a part of each engine's highest rate: from the time at which an item should have been sent to
     the end of the last task (or to the ack). Plain calls are slowed down to our highest rate: what they have, the machine does."""
@@ -241,6 +250,8 @@ def measure(programs, report, scale):
     for dag in DAGS:
         for tracked in (False, True):
             most = saturation(programs, report, scale, dag, tracked)
+            if dag == "chain":
+                with_births(programs, report, scale, tracked)
             if dag == "words" and most:
                 most = numbered(programs, report, scale, tracked, most)
             for load in scale.loads(dag) if most else ():

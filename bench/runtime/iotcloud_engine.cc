@@ -184,6 +184,7 @@ class IotcloudEngine : public Engine {
     all.metrics = &metrics_;
     if (work.options.threads > 0) all.threads = work.options.threads;
     if (work.options.tracked) all.max_spout_pending = max_pending;
+    all.births = work.options.births;
     return all;
   }
   const int sources_;

@@ -16,14 +16,17 @@ namespace {
 
 constexpr const char* usage_text =
     "usage: %s [--dag chain|words|fan|payload] [--tracked] [--rate RESULTS_A_SECOND] [--seconds S] [--warm-up S] "
-    "[--threads N] [--sources 1|2] [--numbered] [--most RESULTS_A_SECOND]\n       %s --print-sentences\n";
+    "[--threads N] [--sources 1|2] [--numbered] [--births] [--most RESULTS_A_SECOND]\n       %s --print-sentences\n";
 
 std::optional<Options> parse(int argc, char** argv) {
   Options options;
   for (int i = 1; i < argc; ++i) {
     const std::string_view name = argv[i];
-    if (name == "--tracked" || name == "--numbered") {
-      (name == "--tracked" ? options.tracked : options.numbered) = true;
+    if (bool* const wish = name == "--tracked"    ? &options.tracked
+                           : name == "--numbered" ? &options.numbered
+                           : name == "--births"   ? &options.births
+                                                  : nullptr) {
+      *wish = true;
       continue;
     }
     if (i + 1 == argc) return std::nullopt;

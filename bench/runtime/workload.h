@@ -26,6 +26,7 @@ struct Options {
   Dag dag = Dag::chain;
   bool tracked = false;
   bool numbered = false;  ///< each word has its item's number, as it always has with a rate and on the rings
+  bool births = false;    ///< tuples record their birth; iotcloud_engine.cc only
   double rate = 0;        ///< results a second; 0: as many as possible
   double most = 0;  ///< results a second that the engine could do at most; 0: as many as it can; calls_engine.cc only
   double warm_up = 0.5, seconds = 1.5;

@@ -37,7 +37,7 @@ struct RuntimeOptions {
   /// False: nothing is tracked, and a spout's tuple counts as acked when it is emitted (Storm: "0 ackers").
   bool acking = true;
   /// True: every tuple records when its spout emitted the root of its tree (TupleData::born_ns), also in a topology
-  /// without deadlines.
+  /// without deadlines. For this the clock is read before each call of a spout's next_tuple().
   bool births = false;
   /// How many tuples a task's mailbox holds until it is full. A task that emits to a full mailbox does not run again
   /// until the mailbox is half empty. Emitting tasks deliver tuples in batches: each of at most half of the room that

@@ -31,11 +31,11 @@ bool has_deadlines(const Topology& topology) {
 
 TaskGraph::TaskGraph(const Topology& topology, TaskEnvironment environment, config::Metrics& metrics)
     : topology_(topology), environment_(environment), metrics_(metrics) {
-  environment_.has_deadlines = has_deadlines(topology) || environment_.options->births;
+  environment_.births = has_deadlines(topology) || environment_.options->births;
   name_tasks();
   for (const ComponentSpec& spec : topology_.components) make_tasks(spec);
   for (const auto& task : tasks_) {
-    task->emitter().set_up(streams_of(*task), &bolts_, task.get(), environment_.has_deadlines);
+    task->emitter().set_up(streams_of(*task), &bolts_, task.get());
   }
 }
 

@@ -56,7 +56,9 @@ RuntimeOptions runtime_options(const WorkerOptions& options) {
   if (settings.mailbox_capacity > 0) runtime.mailbox_capacity = static_cast<std::size_t>(settings.mailbox_capacity);
   runtime.clock = options.clock;
   runtime.metrics = options.metrics;
-  runtime.births = true;  // the fence compares them with the time at which it was raised
+  // The fence of a bolt that sends compares them with the time at which it was raised.
+  runtime.births = std::any_of(options.definition.bolts.begin(), options.definition.bolts.end(),
+                               [](const auto& bolt) { return bolt.endpoint.has_value(); });
   return runtime;
 }
 

@@ -1,4 +1,6 @@
-// What a worker says of itself: why it gets no more messages, and what it has left undone.
+// What a worker says of itself: why it gets no more messages, and what it has left undone; and what its tuples record.
+#include <atomic>
+#include <cstdint>
 #include <mutex>
 #include <string>
 #include <utility>
@@ -57,6 +59,20 @@ class KeepingBolt final : public Bolt {
   static inline OutputCollector* collector_ = nullptr;
   static inline bool released = false;
   static inline std::vector<Tuple> kept;
+};
+
+/// Notes when the tuple was born that it executed last, and hands it on.
+class BornBolt final : public BasicBolt {
+ public:
+  static constexpr std::int64_t none_came = -1;
+  static inline std::atomic<std::int64_t> born{none_came};
+  void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
+    declarer.declare(Fields{"text", "driverID", "time"});
+  }
+  void execute(const Tuple& tuple, BasicOutputCollector& collector) override {
+    collector.emit(Values(tuple.at(0), tuple.at(1), tuple.at(2)));
+    born = tuple.data()->born_ns;
+  }
 };
 
 class WorkerSays : public Endpoints {
@@ -135,6 +151,35 @@ TEST_F(WorkerSays, InTheLogWhatAWindowKeepsWhenItStops) {
               HasSubstr("topology t: the 50 ms to finish what was under way are over; tuples under way: 3 of "
                         "in; these bolts keep tuples by design until a window or checkpoint ends: mean (for "
                         "up to 3600000 ms); spouts that acknowledge read them again"));
+}
+
+/// Whether tuples record their birth in a topology with more bolts than one.
+class WorkersTuples : public Endpoints {
+ protected:
+  bool are_born(const std::string& more) {
+    ComponentRegistry components;
+    components.add_bolt<BornBolt>("Born");
+    run_yaml(
+        "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time]}\n"
+        "bolts:\n  born: {class: Born, inputs: {from: in}}\n" +
+            more,
+        std::move(components));
+    show_driver("one");
+    EXPECT_TRUE(eventually([&] { return metric("iotcloud_spout_channels") == 1; }));
+    BornBolt::born = BornBolt::none_came;
+    device("one")->publish(message("1", "one"));
+    EXPECT_TRUE(eventually([&] { return BornBolt::born != BornBolt::none_came; }));
+    return BornBolt::born != 0;
+  }
+};
+
+TEST_F(WorkersTuples, RecordTheirBirthForTheFenceOfABoltThatSends) {
+  EXPECT_TRUE(are_born(
+      "  out: {broker: rabbitmq, driver: d, channel: down, fields: [text, driverID, time], inputs: {from: born}}\n"));
+}
+
+TEST_F(WorkersTuples, RecordNoBirthWithoutABoltThatSends) {
+  EXPECT_FALSE(are_born(""));
 }
 
 }  // namespace

@@ -266,23 +266,25 @@ void BoltTask::tick() {
 // The collector.
 
 void BoltTask::do_emit(std::string_view stream, std::span<const Tuple> anchors, Values&& values, int task) {
-  // The usual case: nothing but the tuple that is executed is the anchor, no births, nobody watches.
+  // The usual case: there is one anchor, from which the tuple has its birth, if births are recorded; nobody watches.
   const Emitter::Stream* usual = emitter_.usual(stream, values, task);
   if (usual != nullptr && anchors.size() == 1 && OwnCall::is_of(*this) && !taps_.any()) {
     TupleCell& anchor = *cell_of(anchors.front());
+    const std::int64_t born = anchor.born_ns;
+    if (born == 0 && environment_.births) return emit_any(stream, anchors, std::move(values), task);  // a tick
     if (!anchor.tracked()) {
       ++usual_emits_;
-      emitter_.send_usual(*usual, *lane_, std::move(values), nullptr, 0);
+      emitter_.send_usual(*usual, *lane_, std::move(values), born, nullptr, 0);
       return;
     }
     if (anchor.more == nullptr && anchor.first.is_open_for(this)) {
       ++usual_emits_;
       if (heir_ == nullptr && &anchor == open_) {
-        heir_ = emitter_.send_usual(*usual, *lane_, std::move(values), anchor.tree, 0);
+        heir_ = emitter_.send_usual(*usual, *lane_, std::move(values), born, anchor.tree, 0);
         return;
       }
       const std::uint64_t id = lane_->random();
-      emitter_.send_usual(*usual, *lane_, std::move(values), anchor.tree, id);
+      emitter_.send_usual(*usual, *lane_, std::move(values), born, anchor.tree, id);
       anchor.first.change ^= id;
       return;
     }
@@ -300,7 +302,7 @@ void BoltTask::emit_any(std::string_view stream, std::span<const Tuple> anchors,
   emitter_.choose(stream, values, task);
   bump(counts_.emitted);
   emitter_.count_for_stream();
-  const std::int64_t born = environment_.has_deadlines ? birth_of_child(anchors) : 0;
+  const std::int64_t born = environment_.births ? birth_of_child(anchors) : 0;
   if (taps_.any()) offer_emitted(values, born);
   if (emitter_.chosen() == 0) return;
   bump(counts_.transferred, emitter_.chosen());

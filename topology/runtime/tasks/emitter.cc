@@ -13,8 +13,7 @@ Receiver Emitter::receiver(int task) const {
   return {(*tasks_)[id], id};
 }
 
-void Emitter::set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self,
-                     bool births) {
+void Emitter::set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self) {
   tasks_ = tasks;
   source_task_ = self->id();
   self_ = self;
@@ -35,7 +34,7 @@ void Emitter::set_up(std::vector<OutStream> streams, const std::vector<BoltTask*
     }
     if (stream.out.info->stream != default_stream) continue;
     default_ = &stream;
-    if (!stream.to_one() || births) continue;
+    if (!stream.to_one()) continue;
     usual_ = &stream;
     usual_arity_ = stream.arity;
   }

@@ -58,8 +58,7 @@ struct OutStream {
 class Emitter {
  public:
   /// \param tasks index: task id; must outlive the emitter. \param self the emitting task.
-  /// \param births tuples record their birth, so no emit is usual().
-  void set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self, bool births);
+  void set_up(std::vector<OutStream> streams, const std::vector<BoltTask*>* tasks, const Task* self);
 
   struct Stream {
     OutStream out;
@@ -80,15 +79,15 @@ class Emitter {
     }
   };
 
-  /// An emit to the default stream, every tuple of which goes to one task, without births. It does in one step, in few
-  /// instructions, what choose() and send() do in two. \return null: the emit is another one. Otherwise the stream, for
-  /// send_usual().
+  /// An emit to the default stream, every tuple of which goes to one task. It does in one step, in few instructions,
+  /// what choose() and send() do in two. \return null: the emit is another one. Otherwise the stream, for send_usual().
   [[gnu::always_inline]] const Stream* usual(std::string_view stream, const Values& values, int direct_task) const {
     return is_default(stream) && direct_task == -1 && values.size() == usual_arity_ ? usual_ : nullptr;
   }
   /// Makes the tuple and puts it on the lane; defined in send.h. \param tree null: it is not tracked. \param id of its
   /// delivery, if it is. \return the tuple, which is the lane's until the next flush.
-  TupleCell* send_usual(const Stream& usual, EmittingLane& lane, Values&& values, Tree* tree, std::uint64_t id);
+  TupleCell* send_usual(const Stream& usual, EmittingLane& lane, Values&& values, std::int64_t born_ns, Tree* tree,
+                        std::uint64_t id);
 
   /// Checks the arguments and chooses the receivers. \throws std::invalid_argument when stream, task or values do not
   /// fit. \param direct_task the receiving task, for emit_direct; -1: the groupings choose.
@@ -121,7 +120,7 @@ class Emitter {
   std::vector<Stream> streams_;
   std::unique_ptr<StreamCounts[]> counts_;  ///< null: there are not several streams
   Stream* default_ = nullptr;               ///< the default stream
-  const Stream* usual_ = nullptr;           ///< the default stream, if it is to_one() and no births are recorded
+  const Stream* usual_ = nullptr;           ///< the default stream, if it is to_one()
   std::size_t usual_arity_ = no_usual;      ///< its number of fields
   static constexpr std::size_t no_usual = ~std::size_t{0};
   const std::vector<BoltTask*>* tasks_ = nullptr;

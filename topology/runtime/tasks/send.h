@@ -24,9 +24,9 @@ namespace iotcloud::topology::internal {
 }
 
 [[gnu::always_inline]] inline TupleCell* Emitter::send_usual(const Stream& usual, EmittingLane& lane, Values&& values,
-                                                             Tree* tree, std::uint64_t id) {
+                                                             std::int64_t born_ns, Tree* tree, std::uint64_t id) {
   const Receiver target = usual.choose(values);
-  TupleCell* cell = make_cell(lane.cells(), usual, std::move(values), 0);
+  TupleCell* cell = make_cell(lane.cells(), usual, std::move(values), born_ns);
   if (tree != nullptr) {
     cell->tree = tree;
     cell->add_delivery(target.task, id);

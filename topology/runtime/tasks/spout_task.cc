@@ -162,7 +162,7 @@ bool SpoutTask::ask(EmittingLane& lane) {
     std::chrono::microseconds pause{0};
     std::size_t calls = 0, executed = 0;
     for (; more && calls < chunk_ && !lane.wants_flush() && (calls == 0 || may_ask()); ++calls) {
-      if (environment_.has_deadlines) asked_ns_ = topology_ns();
+      if (environment_.births) asked_ns_ = environment_.clock_is_real ? real_ns() : topology_ns();
       if (!guarded("next_tuple()", [&] { more = spout_->next_tuple(); })) {
         more = false;
         pause = pause_after_throw;
@@ -226,13 +226,19 @@ inline void SpoutTask::track(Tree& tree) {
   return tree;
 }
 
+/// Of a tuple that the spout emits now; 0: births are not recorded.
+inline std::int64_t SpoutTask::birth() const {
+  return asked_ns_ == 0 && environment_.births ? topology_ns() : asked_ns_;
+}
+
 void SpoutTask::do_emit(std::string_view stream, Values&& values, int task, const MessageId* id) {
-  // The usual case: no births, nobody watches.
+  // The usual case: nobody watches.
   const Emitter::Stream* usual = emitter_.usual(stream, values, task);
   if (usual == nullptr || !OwnCall::is_of(*this) || taps_.any()) return emit_any(stream, std::move(values), task, id);
   ++usual_emits_;
+  const std::int64_t born = birth();
   Tree* const tree = id != nullptr ? make_tree(*id) : nullptr;
-  emitter_.send_usual(*usual, *lane_, std::move(values), tree, Tree::only_root);
+  emitter_.send_usual(*usual, *lane_, std::move(values), born, tree, Tree::only_root);
   if (tree != nullptr) {
     tree->open = Tree::only_root;
     track(*tree);
@@ -250,7 +256,7 @@ void SpoutTask::emit_any(std::string_view stream, Values&& values, int task, con
   bump(counts_.emitted);
   bump(counts_.transferred, emitter_.chosen());
   emitter_.count_for_stream();
-  const std::int64_t born = asked_ns_ == 0 && environment_.has_deadlines ? topology_ns() : asked_ns_;
+  const std::int64_t born = birth();
   if (taps_.any()) offer_emitted(values, born);
   if (emitter_.chosen() > 0) {
     if (Tree* tree = id != nullptr ? make_tree(*id) : nullptr) {

@@ -71,6 +71,7 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
 
   void emit_any(std::string_view stream, Values&& values, int task, const MessageId* id);
   Tree* make_tree(MessageId id);
+  std::int64_t birth() const;
   void switch_activity();
   bool may_ask() {
     if (active_ && !throttled_ && !full()) return true;

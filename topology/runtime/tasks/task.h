@@ -28,7 +28,7 @@ struct TaskEnvironment {
   const RuntimeOptions* options = nullptr;
   bool clock_is_real = true;  ///< the topology's clock is the system's, which real_ns() reads
   /// Tuples record their birth, because a component has a deadline or RuntimeOptions::births is true.
-  bool has_deadlines = false;
+  bool births = false;
   Troubles* troubles = nullptr;  ///< never null in a running task
 };
 
