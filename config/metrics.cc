@@ -44,7 +44,6 @@ double end_of(int bucket) {
 
 struct Histogram::Buckets {
   std::array<std::atomic<std::uint64_t>, bucket_count> counts{};
-  std::atomic<std::uint64_t> count{0};
   std::atomic<std::uint64_t> sum{0};
   std::atomic<std::uint64_t> max{0};
 };
@@ -70,7 +69,6 @@ void Histogram::record_ns(std::int64_t ns, std::uint64_t times) {
   std::uint64_t max = b.max.load(std::memory_order_relaxed);
   while (value > max && !b.max.compare_exchange_weak(max, value, std::memory_order_relaxed)) {
   }
-  b.count.fetch_add(times, std::memory_order_relaxed);
 }
 
 Histogram::Summary Histogram::summary() const {

@@ -1,6 +1,10 @@
-// A bolt that counts the messages of each load generator in its state, each message once.
+// A bolt that counts the messages of each load generator in its state, each message once. If its conf has `out`, it
+// writes the counts into a file in that folder, too, whose name is that of the component and the task.
 #include <cstdint>
 #include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <set>
 #include <stdexcept>
 #include <string>
 
@@ -20,7 +24,11 @@ class CountingBolt final : public StatefulBolt {
   void declare_output_fields(OutputFieldsDeclarer& declarer) const override {
     declarer.declare(Fields{"data", "driverID", "time"});
   }
-  void prepare(const Config&, const TopologyContext&, OutputCollector& collector) override { collector_ = &collector; }
+  void prepare(const Config& config, const TopologyContext& context, OutputCollector& collector) override {
+    if (const auto out = config.find("out"); out != config.end())
+      file_ = std::filesystem::path(out->second) / (context.component + "." + std::to_string(context.task));
+    collector_ = &collector;
+  }
   void init_state(KeyValueState& state) override { state_ = &state; }
   void execute(const Tuple& tuple) override {
     const auto& driver = tuple.get<std::string>("driverID");
@@ -35,11 +43,24 @@ class CountingBolt final : public StatefulBolt {
     } else {
       state_->put_int("again of " + driver, state_->get_int("again of " + driver) + 1);
     }
+    if (!file_.empty()) write(driver);
     collector_->emit(tuple, Values(tuple.at("data"), tuple.at("driverID"), tuple.at("time")));
     collector_->ack(tuple);
   }
 
  private:
+  /// \param driver whose message came last
+  void write(const std::string& driver) {
+    drivers_.insert(driver);
+    const std::string partial = file_.string() + ".partial";
+    std::ofstream to(partial);
+    for (const std::string& each : drivers_) to << each << " " << state_->get_int("count of " + each) << "\n";
+    to.close();
+    std::filesystem::rename(partial, file_);
+  }
+
+  std::filesystem::path file_;
+  std::set<std::string> drivers_;  ///< whose messages came since the task began
   OutputCollector* collector_ = nullptr;
   KeyValueState* state_ = nullptr;
 };

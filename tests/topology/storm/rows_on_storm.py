@@ -314,11 +314,12 @@ bolts:
         self.wait_for("all messages are back", lambda: result_of(report))
         self.assertEqual(result_of(report)["received"], MESSAGES)
 
-    def test_state_in_redis_has_each_message_once_though_a_worker_is_killed(self):
-        url = self.drivers().server("redis")
+    def count_while_a_worker_is_killed(self, store, tasks, more, counts, chosen):
+        """`counts`: what the bolt's state has of the driver instances that are its argument. `chosen`: of the processes of workers
+        the one to kill."""
         self.with_drivers("remembered", f"""
 runtime: {{max_spout_pending: 200, message_timeout: 20s}}
-engine: {{storm: {{workers: 2, {WAITS}}}}}
+engine: {{storm: {{workers: 2, {more}{WAITS}}}}}
 spouts:
   receive:
     broker: rabbitmq
@@ -330,22 +331,36 @@ spouts:
 bolts:
   between:
     class: test.Counting
-    parallelism: 2
-    conf: {{state.store: "{url}", state.checkpoint: 200ms}}
+    parallelism: {tasks}
+    conf: {{state.store: "{store}", state.checkpoint: 200ms}}
     inputs: {{from: receive, grouping: fields, fields: [driverID]}}
 """, self.counting)
         # RabbitMQ drops the queue of another channel when nobody has read it for a minute.
         instances = [self.deploy(MESSAGES, 20, **{"channel.data.durable": "true"}) for _ in range(4)]
-        store = Store(url, "remembered")
-
-        def counts():
-            return [store.value("count of " + instance) for instance in instances]
-        self.wait_for("some are counted", lambda: any(counts()))
+        self.wait_for("some are counted", lambda: any(counts(instances)))
         before = self.storm.running_workers("remembered")
-        os.kill(next(iter(before.values())), signal.SIGKILL)
-        self.wait_for("all are counted", lambda: sum(counts()) >= MESSAGES * len(instances))
-        self.assertEqual(counts(), [MESSAGES] * len(instances))
+        os.kill(chosen(before.values()), signal.SIGKILL)
+        self.wait_for("all are counted", lambda: sum(counts(instances)) >= MESSAGES * len(instances))
+        self.assertEqual(counts(instances), [MESSAGES] * len(instances))
         self.assertNotEqual(set(self.storm.running_workers("remembered").values()), set(before.values()))
+
+    def test_state_in_redis_has_each_message_once_though_a_worker_is_killed(self):
+        url = self.drivers().server("redis")
+        store = Store(url, "remembered")
+        self.count_while_a_worker_is_killed(url, 2, "", lambda instances: [store.value("count of " + each) for each in instances],
+                                            lambda processes: next(iter(processes)))
+
+    def test_state_in_a_rocksdb_on_a_common_folder_has_each_message_once_though_a_worker_is_killed(self):
+        folder = self.out / "state"
+
+        def counts(instances):
+            return [self.only("between").get(each, 0) for each in instances]
+
+        def user(processes):
+            (one,) = [process for process in processes if any(file.is_symlink() and file.readlink() == folder / "LOCK"
+                                                              for file in Path("/proc/%d/fd" % process).iterdir())]
+            return one
+        self.count_while_a_worker_is_killed(f"rocksdb://{folder}", 1, f"shared_folders: [{self.out}], ", counts, user)
 
 
 if __name__ == "__main__":

@@ -105,6 +105,14 @@ const std::vector<Row> rows{
      "t.yaml:2:1: topology.scope", "remove \"scope\""},
     {"StateOnOneDisk", head + "  b: {class: Pass, conf: {state.store: \"rocksdb:///var/lib/x\"}, inputs: {from: in}}\n",
      "t.yaml:5:27: bolts.b.conf.state.store", "engine.storm.shared_folders"},
+    {"StateOfSeveralTasksInOneDatabase",
+     "engine: {storm: {shared_folders: [/mnt/s]}}\n" + head +
+         "  b: {class: Pass, tasks: 2, conf: {state.store: \"rocksdb:///mnt/s/x\"}, inputs: {from: in}}\n",
+     "t.yaml:6:36: bolts.b.conf.state.store", "one task and a RocksDB of its own"},
+    {"StateOfSeveralBoltsInOneDatabase",
+     "engine: {storm: {shared_folders: [/mnt/s]}}\nconf: {state.store: \"rocksdb:///mnt/s/x\"}\n" + head +
+         "  b: {class: Pass, inputs: {from: in}}\n",
+     "t.yaml:2:8: conf.state.store", "one task and a RocksDB of its own"},
     {"PasswordInConf", head + "  b: {class: Pass, conf: {state.store: \"redis://u:p@h\"}, inputs: {from: in}}\n",
      "t.yaml:5:27: bolts.b.conf.state.store", "into a file"},
     {"KeyOfAComponentForAPassword", head + "  b: {class: Pass, conf: {db.Password: p}, inputs: {from: in}}\n",

@@ -281,6 +281,14 @@ TEST(StormBoltHost, AnExceptionFailsTheTupleAndIsReported) {
               ElementsAre("emit stream 1 @1: before", "error execute() threw: no", "fail 1"));
 }
 
+TEST(StormBoltHost, ToTryAgainIsToFailAndNothingIsVoid) {
+  BoltTask task([](const Tuple& tuple, OutputCollector& out) {
+    EXPECT_FALSE(out.is_void(tuple));
+    out.retry(tuple);
+  });
+  EXPECT_THAT(task.execute(1, Values("x")), ElementsAre("fail 1"));
+}
+
 TEST(StormBoltHost, WhatDoesNotFitIsRefusedAsOurRuntimeDoes) {
   std::vector<std::string> texts;
   BoltTask task([&](const Tuple& tuple, OutputCollector& out) {

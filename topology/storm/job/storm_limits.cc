@@ -134,6 +134,15 @@ YamlSection conf_with(const Check& check, const ComponentSpec& component, const 
   return owner.require_section("conf");
 }
 
+/// Tasks whose state is in this store.
+int tasks_with(const Check& check, const std::string& store) {
+  int tasks = 0;
+  for (const auto& component : check.topology.components) {
+    if (store_of(check, component) == store) tasks += component.tasks;
+  }
+  return tasks;
+}
+
 void check_state(Check& check) {
   for (const auto& component : check.topology.components) {
     const std::string store = store_of(check, component);
@@ -148,7 +157,16 @@ void check_state(Check& check) {
     const auto has_it = [&](const std::string& folder) {
       return path.starts_with(folder.ends_with('/') ? folder : folder + "/");
     };
-    if (std::any_of(shared.begin(), shared.end(), has_it)) continue;
+    if (std::any_of(shared.begin(), shared.end(), has_it)) {
+      const int tasks = tasks_with(check, store);
+      if (tasks == 1) continue;
+      conf_with(check, component, "state.store")
+          .refuse("state.store",
+                  fmt::format("Storm may spread the {} tasks with this state over several workers, and one process at a "
+                              "time opens a RocksDB",
+                              tasks),
+                  "name a Redis, or give each component one task and a RocksDB of its own");
+    }
     conf_with(check, component, "state.store")
         .refuse(
             "state.store",
