@@ -108,7 +108,7 @@ const std::vector<Row> rows{
     {"StateOfSeveralTasksInOneDatabase",
      "engine: {storm: {shared_folders: [/mnt/s]}}\n" + head +
          "  b: {class: Pass, tasks: 2, conf: {state.store: \"rocksdb:///mnt/s/x\"}, inputs: {from: in}}\n",
-     "t.yaml:6:36: bolts.b.conf.state.store", "one task and a RocksDB of its own"},
+     "t.yaml:6:37: bolts.b.conf.state.store", "one task and a RocksDB of its own"},
     {"StateOfSeveralBoltsInOneDatabase",
      "engine: {storm: {shared_folders: [/mnt/s]}}\nconf: {state.store: \"rocksdb:///mnt/s/x\"}\n" + head +
          "  b: {class: Pass, inputs: {from: in}}\n",

@@ -166,6 +166,7 @@ void check_state(Check& check) {
                               "time opens a RocksDB",
                               tasks),
                   "name a Redis, or give each component one task and a RocksDB of its own");
+      continue;
     }
     conf_with(check, component, "state.store")
         .refuse(
