@@ -7,7 +7,8 @@ usage: ./dev test --repeat RUNS [CTEST OPTIONS]      (it builds, and runs this f
 One line for each run is added to development/repeats.tsv: number, commit, idle or loaded, begin, seconds, tests, failed,
 and the names of those that failed; what they printed is in build/repeat/run-NUMBER.log. Stopped and started again, also
 on another day and with another commit, it goes on after the last line: the runs since the last one that failed count. A
-run that fails ends it with the exit status 1; the next start begins the row anew.
+run that fails ends it with the exit status 1; the next start begins the row anew. With options of ctest, which choose tests,
+the lines go into a table of these options under build/repeat/ instead.
 """
 import argparse
 import ctypes
@@ -30,8 +31,16 @@ def commit_of(tree, table):
     """The commit of the tree, with "-modified" when another file than the table differs from it."""
     def git(*words):
         return subprocess.run(["git", "-C", str(tree), *words], capture_output=True, text=True, check=True).stdout.strip()
-    changes = git("status", "--porcelain", "--", ".", f":(exclude){table.relative_to(tree)}")
+    excluded = [f":(exclude){table.relative_to(tree)}"] if table.is_relative_to(tree) else []
+    changes = git("status", "--porcelain", "--", ".", *excluded)
     return git("rev-parse", "--short", "HEAD") + ("-modified" if changes else "")
+
+
+def table_for(options, out):
+    """Where the lines of runs with these options of ctest stand: runs of chosen tests say nothing about the suite."""
+    if not options:
+        return TREE / "development/repeats.tsv"
+    return out / f"chosen{re.sub('[^A-Za-z0-9_]+', '-', ' '.join(options))}.tsv"
 
 
 def die_with_parent():
@@ -99,11 +108,10 @@ def main():
     parser.add_argument("runs", type=int, metavar="RUNS", help="how many runs in a row are to be without a failure")
     parser.add_argument("--build", type=Path, default=Path("build/release"), help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("build/repeat"), help=argparse.SUPPRESS)
-    parser.add_argument("--table", type=Path, default=TREE / "development/repeats.tsv", help=argparse.SUPPRESS)
     given, options = parser.parse_known_args()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     given.out.mkdir(parents=True, exist_ok=True)
-    table = given.table
+    table = table_for(options, given.out)
     if not table.exists():
         table.write_text(HEAD)
     commit = commit_of(TREE, table)

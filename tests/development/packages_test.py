@@ -11,7 +11,8 @@ from pathlib import Path
 DEV = Path(__file__).resolve().parents[2] / "dev"
 # A user who is not root, no package, and a sudo that refuses: ./dev ends when it has said what it would install.
 STAND_INS = {"id": "echo 1000", "dpkg-query": "exit 1", "sudo": "exit 1"}
-SERVERS = {"rabbitmq-server", "redis-server", "zookeeper"}
+SERVERS = {"rabbitmq-server", "zookeeper"}
+REDIS = {"redis-server"}
 JAVA = {"maven", "openjdk-17-jdk-headless", "openjdk-17-jre-headless"}
 STORES = {"librocksdb-dev", "libhiredis-dev"}
 DRIVERS = {"libmosquitto-dev", "libprotobuf-dev", "protobuf-compiler", "libmodbus-dev", "libudev-dev", "libpugixml-dev", "libgstreamer1.0-dev",
@@ -20,7 +21,7 @@ DEVICES = {"mosquitto", "gstreamer1.0-plugins-good", "gstreamer1.0-plugins-bad",
 RECORDING = {"liblz4-dev", "libzstd-dev"}
 TESTS = {"libgtest-dev", "stunnel4", "clang", "libroscpp-dev"}
 PICTURES = {"gnuplot-nox"}
-ALL = SERVERS | JAVA | STORES | DRIVERS | TESTS | PICTURES
+ALL = SERVERS | REDIS | JAVA | STORES | DRIVERS | TESTS | PICTURES
 
 
 class PackagesTest(unittest.TestCase):
@@ -47,13 +48,18 @@ class PackagesTest(unittest.TestCase):
 
     def test_the_demo_in_one_process_installs_no_server_and_no_store(self):
         self.assertEqual(self.installed_by("demo"), PICTURES)
-        self.assertEqual(self.installed_by("demo", "--cluster") & SERVERS, SERVERS)
+        self.assertEqual(self.installed_by("demo", "--cluster"), SERVERS | PICTURES | {"openjdk-17-jre-headless"})
 
     def test_a_benchmark_installs_the_servers_that_it_measures(self):
         self.assertEqual(self.installed_by("bench", "runtime"), set())
         self.assertEqual(self.installed_by("bench", "brokers", "--quick", "--only", "rabbitmq"), {"rabbitmq-server"})
         self.assertEqual(self.installed_by("bench", "brokers", "--only=kafka"), {"maven", "openjdk-17-jdk-headless"})
         self.assertEqual(self.installed_by("bench", "brokers"), {"rabbitmq-server", "maven", "openjdk-17-jdk-headless"})
+
+    def test_redis_is_installed_for_tests_with_servers_and_for_the_benchmark_of_state(self):
+        for words, expected in ((("test",), REDIS), (("test", "--repeat", "1"), REDIS), (("bench", "state"), REDIS), (("deps",), REDIS),
+                                (("bench", "fleet"), set()), (("demo", "--engine=storm"), set()), (("demo", "rabbitmq"), set())):
+            self.assertEqual(self.installed_by(*words, of=REDIS), expected, words)
 
     def test_the_bare_amqp_client_is_installed_where_it_is_compiled(self):
         client = {"libqpid-proton-cpp12-dev"}

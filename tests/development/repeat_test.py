@@ -46,7 +46,7 @@ class RowTest(unittest.TestCase):
         folder = tempfile.TemporaryDirectory(prefix="iotcloud-repeat-")
         self.addCleanup(folder.cleanup)
         self.folder = Path(folder.name)
-        self.table = self.folder / "repeats.tsv"
+        self.table = self.folder / "chosen-R-Url.tsv"
         self.busy = []  # processes that keep cores busy now
 
     def repeat(self, runs, *said):
@@ -68,7 +68,7 @@ class RowTest(unittest.TestCase):
             self.busy.append(process)
             return [process]
 
-        words = ["repeat.py", str(runs), "--out", str(self.folder), "--table", str(self.table), "-R", "Url"]
+        words = ["repeat.py", str(runs), "--out", str(self.folder), "-R", "Url"]
         with (mock.patch.object(repeat, "run_suite", suite), mock.patch.object(repeat, "burners", burners),
               mock.patch.object(repeat, "commit_of", return_value="abc"), mock.patch.object(repeat.signal, "signal"),
               mock.patch.object(sys, "argv", words), contextlib.redirect_stdout(io.StringIO())):
@@ -103,6 +103,13 @@ class RowTest(unittest.TestCase):
     def test_of_a_row_that_began_beside_busy_cores_half_is_so(self):
         self.table.write_text(repeat.HEAD + "1\tabc\tidle\tnow\t9\t7\t1\tUrl.Reads\n2\tabc\tloaded\tnow\t9\t7\t0\t\n")
         self.assertEqual(self.repeat(4, *[CLEAN] * 3), (0, [False, False, True]))
+
+
+class TableTest(unittest.TestCase):
+    def test_runs_of_chosen_tests_do_not_count_as_runs_of_the_suite(self):
+        tables = [repeat.table_for(options, Path("out")) for options in ([], ["-R", "Url"], ["-L", "^room:brokers$"])]
+        self.assertEqual(tables, [repeat.TREE / "development/repeats.tsv", Path("out/chosen-R-Url.tsv"),
+                                  Path("out/chosen-L-room-brokers-.tsv")])
 
 
 class CommitTest(unittest.TestCase):
