@@ -1,4 +1,5 @@
 // The scheduler alone, with things to run that are no tasks of a topology.
+#include <atomic>
 #include <functional>
 #include <latch>
 #include <string>
@@ -41,10 +42,11 @@ class Job final : public Runnable {
     const OwnCall own(lane, *this);
     return work_(lane);
   }
-  std::int64_t worth_moving_ns() const override { return 0; }
+  std::int64_t worth_moving_ns() const override { return worth_ns; }
   void signal(std::uint32_t bits) override { signals.push_back(bits); }
   void hangs(std::int64_t for_ns) override { hung_ns.push_back(for_ns); }
 
+  std::int64_t worth_ns = 0;
   std::vector<std::uint32_t> signals;
   std::vector<std::int64_t> hung_ns;
 
@@ -272,6 +274,55 @@ TEST_F(SchedulerHomesTest, WhoseHomeIsAsleepRunsWhereItBecameReady) {
   });
   EXPECT_EQ(thread_of_0_, second_thread_);
   EXPECT_EQ(thread_of_1_, second_thread_);
+}
+
+/// A pool thread that has worked for long makes two jobs ready, while the other thread sleeps as a rule.
+class SchedulerSharesTest : public SchedulerTest {
+ protected:
+  static constexpr std::int64_t long_ns = 500'000;
+  SchedulerSharesTest() {
+    for (Job* job : {&busy_, &first_, &second_}) pool_.release(*job, false);
+    pool_.start();
+  }
+  ~SchedulerSharesTest() override {
+    pool_.halt();
+    pool_.join();
+  }
+  /// \return whether the second job ran beside the first one
+  bool share(std::int64_t worth_ns) {
+    first_.worth_ns = second_.worth_ns = worth_ns;
+    second_began_ = beside_ = false;
+    pool_.schedule(busy_);
+    EXPECT_TRUE(pool_.wait_idle(std::chrono::steady_clock::now() + 60s, [] { return true; }));
+    return beside_;
+  }
+
+  std::atomic<bool> second_began_{false}, beside_{false};
+  Scheduler pool_{2, 1h, 1h, [](Scheduler& scheduler) { return std::make_unique<Lane>(scheduler); }, timers_};
+  Job first_{many_, [&](Lane&) {
+               const auto limit = std::chrono::steady_clock::now() + 50ms;
+               while (!second_began_ && std::chrono::steady_clock::now() < limit) std::this_thread::yield();
+               beside_ = second_began_.load();
+               return false;
+             }};
+  Job second_{many_, [&](Lane&) {
+                second_began_ = true;
+                return false;
+              }};
+  Job busy_{many_, [&](Lane& lane) {
+              for (Job* job : {&first_, &second_}) pool_.schedule(*job);
+              lane.now_ns += long_ns;
+              return false;
+            }};
+};
+
+TEST_F(SchedulerSharesTest, WorkThatIsWorthASecondThreadIsDoneByOneThatSleeps) {
+  const auto limit = std::chrono::steady_clock::now() + 60s;
+  while (!share(Scheduler::worth_sharing_ns / 2)) ASSERT_LT(std::chrono::steady_clock::now(), limit);
+}
+
+TEST_F(SchedulerSharesTest, WorkThatIsWorthLessStaysOnItsThread) {
+  for (int i = 0; i < 20; ++i) EXPECT_FALSE(share(Scheduler::worth_sharing_ns / 2 - 1));
 }
 
 TEST_F(SchedulerTest, AJobThatHangsIsToldOnceInEachSlice) {
