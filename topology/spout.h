@@ -25,7 +25,8 @@ class Spout {
   virtual void close() {}  ///< the last call
   /// Emits what is available, preferably one tuple, without blocking. The runtime does not call it while
   /// max_spout_pending tracked tuples are under way or a receiver's mailbox is full. \return true if there may be more
-  /// now; false: the runtime calls again when a SpoutWaker wakes the task, or after poll_period().
+  /// now; false: the runtime calls again when a SpoutWaker wakes the task, after poll_period(), or after fail() or
+  /// retry(); not after ack(): a spout that limits by itself what is under way calls wake() in its ack().
   virtual bool next_tuple() = 0;
   /// All tuples of the tree of message `id` were acked. Each tracked tuple gets one ack(), fail() or retry().
   virtual void ack(MessageId id) { (void)id; }

@@ -67,6 +67,42 @@ class Reliability : public testing::Test {
   }
 };
 
+TEST_F(Reliability, ASpoutThatHadNothingMoreIsAskedAfterAFailureAndNotAfterAnAck) {
+  /// Emits one tuple in each call, and then has nothing more.
+  class OneByOne final : public Spout {
+   public:
+    explicit OneByOne(SpoutWaker& waker) : waker_(waker) {}
+    void declare_output_fields(OutputFieldsDeclarer& declarer) const override { declarer.declare({"value"}); }
+    void open(const Config&, const TopologyContext& context, SpoutOutputCollector& collector) override {
+      waker_ = context.waker;
+      collector_ = &collector;
+    }
+    bool next_tuple() override {
+      collector_->emit(Values(1), ++calls_);
+      return false;
+    }
+
+   private:
+    SpoutWaker& waker_;
+    SpoutOutputCollector* collector_ = nullptr;
+    MessageId calls_ = 0;
+  };
+  SpoutWaker waker;
+  start(
+      [&](TopologyBuilder& builder) {
+        builder.set_spout("one", [&] { return std::make_unique<OneByOne>(waker); });
+        builder.set_bolt("keep", keeper()).shuffle_grouping("one");
+      },
+      bench.options());
+  ASSERT_EQ(kept.size(), 1U);
+  settle(0, true);
+  EXPECT_EQ(kept.size(), 1U) << "it was asked after an ack";
+  waker.wake();
+  ASSERT_EQ(kept.size(), 2U);
+  settle(1, false);
+  EXPECT_EQ(kept.size(), 3U) << "it was not asked after a failure";
+}
+
 TEST_F(Reliability, AcksOnlyWhenTheWholeTreeIsDone) {
   start(
       [this](TopologyBuilder& builder) {

@@ -123,7 +123,7 @@ bool SpoutTask::slice(Lane& given) {
   if ((signals & failures_due) != 0) tell_failures();
   take_settlements();  // before the time-outs: what was acked in time is acked
   if (wheel_armed_) turn_wheel();
-  const bool more = ask(lane);
+  const bool more = may_have_more(signals) && ask(lane);
   count_usual();
   lane.flush(*this);
   note_oldest();
@@ -178,6 +178,7 @@ bool SpoutTask::ask(EmittingLane& lane) {
     now_ns_ = environment_.clock_is_real ? lane.now_ns : topology_ns();
     bump(counts_.busy_ns, took_ns);
     chunk_ = next_chunk(chunk_, calls, took_ns);
+    dry_ = !more;
     if (!more && !woken_.load(std::memory_order_acquire)) {
       if (pause.count() == 0) pause = spout_->poll_period();  // asked after next_tuple(), which may change it
       if (pause.count() > 0 && !poll_armed_) {
@@ -379,6 +380,7 @@ void SpoutTask::finish_failed(Tree& tree, bool timed_out) {
   const bool blamed = timed_out || (tree.flags & Tree::blamed) != 0;
   tree.ending = tree.ended = true;
   if (tree.open == 0) tree.recycle();
+  dry_ = false;  // the spout may emit the message again
   if (blamed) {
     guarded("fail()", [&] { spout_->fail(id); });
   } else {

@@ -77,6 +77,12 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
     if (active_ && !throttled_ && !full()) return true;
     return decide_to_ask();
   }
+  /// False: the spout has said that it has nothing, and only acks came since. A spout that is asked after each ack
+  /// finds what became due meanwhile, a few tuples each time. Those cost more than tuples in a batch, and the thread
+  /// that brings messages is never done with them.
+  bool may_have_more(std::uint32_t signals) const {
+    return !dry_ || signals != 0 || woken_.load(std::memory_order_acquire);
+  }
   bool full() const {
     return blocked() || (max_pending_ > 0 && pending_.load(std::memory_order_relaxed) >= max_pending_);
   }
@@ -126,6 +132,8 @@ class SpoutTask final : public Task, private SpoutOutputCollector {
   FlatList<Settlement> settling_;              ///< only used in take_settlements(); a member, to keep its memory
   std::vector<Tree*> failing_;                 ///< the same
   bool active_ = false;
+  /// next_tuple() returned false, and nothing has happened since after which it is called again.
+  bool dry_ = false;
   bool throttled_ = false;
   std::vector<MessageId> acked_at_once_;  ///< messages whose tuple has no receiver, or is not tracked (`acking` is off)
   std::array<Tree*, slots> wheel_{};      ///< the newest tree of each slot

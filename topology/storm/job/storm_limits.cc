@@ -161,11 +161,12 @@ void check_state(Check& check) {
       const int tasks = tasks_with(check, store);
       if (tasks == 1) continue;
       conf_with(check, component, "state.store")
-          .refuse("state.store",
-                  fmt::format("Storm may spread the {} tasks with this state over several workers, and one process at a "
-                              "time opens a RocksDB",
-                              tasks),
-                  "name a Redis, or give each component one task and a RocksDB of its own");
+          .refuse(
+              "state.store",
+              fmt::format("Storm may spread the {} tasks with this state over several workers, and one process at a "
+                          "time opens a RocksDB",
+                          tasks),
+              "name a Redis, or give each component one task and a RocksDB of its own");
       continue;
     }
     conf_with(check, component, "state.store")
