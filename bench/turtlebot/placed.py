@@ -1,5 +1,5 @@
 """The TurtleBot's loop while other processes keep all cores busy: its worker placed as `runtime.placement` says, in rounds with
-the same worker as it is by default."""
+the same worker as it is by default; then with each key of the placement alone."""
 
 import os
 import tempfile
@@ -13,6 +13,8 @@ from .figure import FRAMES, RATE, WARM_UP, Loop, stamped
 
 DRIVER = "turtle_placed"  # a driver's messages go to the topologies that name it: those of the other loop to the usual worker alone
 PLACEMENT = "{priority: 10, lock_memory: true}"
+# Each key alone.
+ALONE = {"cores": "{cores: [0]}", "priority": "{priority: 10}", "lock_memory": "{lock_memory: true}"}
 PLACED, USUAL = "placed", "not placed"
 BUSY = ["/bin/sh", "-c", "while :; do :; done"]
 IN_WORKER = "in the worker"  # from when its spout was asked to the end of `follow`
@@ -24,18 +26,19 @@ def quantile(values, share):
     return sorted(values)[min(len(values) - 1, int(share * len(values)))]
 
 
-def placed_topology(library, folder):
+def placed_topology(library, folder, placement=PLACEMENT):
     """The example's own YAML for a driver of its own, with a placement, and bolts that record time stamps."""
     text = stamped(library, folder, [('topology.name: "turtlebot_follower"', 'topology.name: "follower_placed"', 1),
                                      ('driver: "turtle"', f'driver: "{DRIVER}"', 2)])
-    return f"{text}\nruntime: {{placement: {PLACEMENT}}}\n"
+    return f"{text}\nruntime: {{placement: {placement}}}\n"
 
 
 class PlacedLoop(Loop):
     """The cluster with the follower's worker, and another one that is placed; a context manager."""
 
-    def __init__(self, build, folder):
+    def __init__(self, build, folder, placement):
         super().__init__(build, folder)
+        self.placement = placement
         self.placed_stamps = self.folder / "placed-stamps"
         self.busy = 0
 
@@ -43,7 +46,7 @@ class PlacedLoop(Loop):
         super().__enter__()
         try:
             self.placed_stamps.mkdir()
-            text = placed_topology(self.cluster.plugins / "bench_turtlebot_stamps.so", self.placed_stamps)
+            text = placed_topology(self.cluster.plugins / "bench_turtlebot_stamps.so", self.placed_stamps, self.placement)
             self.cluster.topology("placed", text)
             try:
                 self.cluster.wait_until_ready()
@@ -77,26 +80,46 @@ class Figure:
     alone = True
 
     @staticmethod
-    def rounds(given):
-        return given.rounds or (1 if given.scale == "quick" else 5)
+    def rounds(given, most=5):
+        return given.rounds or (1 if given.scale == "quick" else most)
 
     def seconds(self, given):
-        return 20 + 2 * self.rounds(given) * self.round_s
+        return 20 * (1 + len(ALONE)) + 2 * (self.rounds(given) + len(ALONE) * self.rounds(given, 3)) * self.round_s
 
     round_s = (WARM_UP + FRAMES) / RATE + 5
 
     def take(self, given, report, progress):
+        pair, placed_ms, usual_ms = self.measure(given, PLACEMENT, self.rounds(given), progress)
+        plots = self.judge(pair, report, placed_ms, usual_ms)
+        for key, placement in ALONE.items():
+            self.judge_alone(key, report, *self.measure(given, placement, self.rounds(given, 3), progress))
+        return plots
+
+    def measure(self, given, placement, rounds, progress):
+        """Returns the rounds, and how long each frame was in the placed worker and in the usual one."""
         with tempfile.TemporaryDirectory(prefix="iotcloud-bench-") as folder:
-            loop, pair = PlacedLoop(given.build, folder), Pair("TurtleBot, all cores busy")
-            progress.step("the TurtleBot while all cores are busy: starting", 20)
+            loop, pair = PlacedLoop(given.build, folder, placement), Pair("TurtleBot, all cores busy")
+            progress.step(f"the TurtleBot while all cores are busy, {placement}: starting", 20)
             with loop:
-                for number in range(self.rounds(given)):
-                    progress.step(f"the TurtleBot while all cores are busy, round {number + 1}", 2 * self.round_s)
+                for number in range(rounds):
+                    progress.step(f"the TurtleBot while all cores are busy, {placement}, round {number + 1}", 2 * self.round_s)
                     pair.round(loop.measure_placed, loop.measure_loop)
             if pair.our_problem or pair.their_problem:
                 raise ProgramFailed(pair.our_problem or pair.their_problem)
             ours, theirs = ([frame for line in lines for frame in line["frames"]] for lines in (pair.ours, pair.theirs))
-            return self.judge(pair, report, loop.in_worker_ms(ours, loop.placed_stamps), loop.in_worker_ms(theirs, loop.stamps))
+            return pair, loop.in_worker_ms(ours, loop.placed_stamps), loop.in_worker_ms(theirs, loop.stamps)
+
+    @staticmethod
+    def judge_alone(key, report, pair, placed_ms, usual_ms):
+        """Of one key of the placement: the tails, of which it is about."""
+        whole = [[frame.whole_ms for line in lines for frame in line["frames"]] for lines in (pair.ours, pair.theirs)]
+        for name, (ours, theirs) in (("all frames", whole), (IN_WORKER, (placed_ms, usual_ms))):
+            if not ours or not theirs:
+                report.fail(f"{pair.title}, {key} alone, {name}: no frame has all time stamps")
+                continue
+            for word, share in (("p99", 0.99), ("p99.9", MOST)):
+                report.compare(f"{pair.title}, {key} alone, {name} ({len(ours)}): {word}", "ms", [quantile(ours, share)], USUAL,
+                               [quantile(theirs, share)])
 
     @staticmethod
     def judge(pair, report, placed_ms, usual_ms):

@@ -201,14 +201,17 @@ class FigureTest(unittest.TestCase):
         self.assertEqual([series["kind"] for series in plots[0]["series"]], ["ours", "limit"])
         self.assertTrue(self.judged_on_storm(3, lost=1)[1].failed)
 
-    def judged_placed(self, ours_ms, theirs_ms, in_worker=((1.0,), (2.0,)), lost=0):
+    def judged_placed(self, ours_ms, theirs_ms, in_worker=((1.0,), (2.0,)), lost=0, alone=None):
         def lines_of(whole):
             frames = [parts.Frame({"seq": "0", "time_ms": "1", "monotonic_us": "0", "render_us": "0", "encode_us": "0",
                                    "payload_bytes": "56000", "answered": "1", "latency_us": str(round(each * 1000))}) for each in whole]
             return [{**parts.statistics_of(whole, lost), "frames": frames, "others_cpu": 0.0}]
         pair, report = Pair("busy"), Report()
         pair.ours, pair.theirs = lines_of(ours_ms), lines_of(theirs_ms)
-        PLACED.judge(pair, report, *map(list, in_worker))
+        if alone:
+            PLACED.judge_alone(alone, report, pair, *map(list, in_worker))
+        else:
+            PLACED.judge(pair, report, *map(list, in_worker))
         return report
 
     def test_a_placed_worker_stands_beside_one_that_is_not_with_the_thousandth_frame(self):
@@ -218,6 +221,13 @@ class FigureTest(unittest.TestCase):
         self.assertEqual(found["busy, all frames (2000): max"], (7, 70, placed.USUAL))
         self.assertEqual(found["busy, in the worker (1): p99.9"], (1, 2, placed.USUAL))
         self.assertFalse(report.failed)
+
+    def test_of_a_key_alone_the_tails_are_told(self):
+        report = self.judged_placed([1.0] * 1998 + [5.0, 7.0], [2.0] * 1998 + [20.0, 70.0], alone="cores")
+        self.assertEqual({result["name"]: result["value"] for result in report.results}, {
+            "busy, cores alone, all frames (2000): p99": 1, "busy, cores alone, all frames (2000): p99.9": 5,
+            "busy, cores alone, in the worker (1): p99": 1, "busy, cores alone, in the worker (1): p99.9": 1})
+        self.assertIn("no frame has all time stamps", self.judged_placed([1.0], [2.0], ((), ()), alone="cores").failed)
 
     def test_frames_without_a_command_are_told_of_both_and_without_time_stamps_the_run_fails(self):
         report = self.judged_placed([1.0], [2.0], lost=3)
@@ -239,7 +249,8 @@ class FigureTest(unittest.TestCase):
         library = build / "plugins/bench_turtlebot_stamps.so"
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "topology.yaml"
-            for text in (figure.stamped(library, folder), placed.placed_topology(library, folder)):
+            for text in (figure.stamped(library, folder), placed.placed_topology(library, folder),
+                         *(placed.placed_topology(library, folder, each) for each in placed.ALONE.values())):
                 file.write_text(text.replace("{zookeeper}", "127.0.0.1:1"))
                 done = subprocess.run([build / "bin/iotcloud-topology", "--check", file], capture_output=True, text=True)
                 self.assertEqual(done.returncode, 0, done.stderr)
