@@ -150,7 +150,7 @@ void WorkerControl::run(const std::stop_token& stop) {
         follow(TopologyOrder{});
         tell = true;
       }
-      if (show) show_topology();
+      if (show && membership_) show_topology();  // a worker that was killed has left, and removed the topology's record
       if (news || show || tell) report();
     } catch (const std::exception& error) {
       control_logger.error("topology {}: {}", options_.topology.name, error.what());

@@ -332,6 +332,16 @@ TEST_F(WorkerControlTest, TheLastOneClearsAKillAwayThatNobodyWaitsFor) {
   EXPECT_TRUE(eventually([&] { return !watcher_->get(paths_.topology("t"_topology)); }));
 }
 
+TEST_F(WorkerControlTest, ShowsNoTopologyOnceItIsKilledThoughTheOrderComesWhenItJoins) {
+  auto kill = kill_of({"w1"});
+  kill.kill->awaited_until_ms = 1;
+  order(kill);
+  start();
+  ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
+  control_.reset();
+  EXPECT_FALSE(watcher_->get(paths_.topology("t"_topology)));
+}
+
 TEST_F(WorkerControlTest, IsNotKilledByAnOrderForThoseBeforeItAndClearsThatAway) {
   auto kill = kill_of({"w0"});
   kill.active = false;
