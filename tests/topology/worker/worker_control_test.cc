@@ -108,8 +108,14 @@ class WorkerControlTest : public testing::Test {
     control_ = std::make_unique<WorkerControl>(std::move(control));
     control_->start();
   }
-  void TearDown() override {
+  /// Ends the control as the worker does, whose on_killed uses the control too.
+  void end_control() {
+    if (!control_) return;
+    control_->end();
     control_.reset();
+  }
+  void TearDown() override {
+    end_control();
     {
       const std::lock_guard lock(mutex_);
       kept_.clear();  // a tuple does not outlive its runtime
@@ -338,7 +344,7 @@ TEST_F(WorkerControlTest, ShowsNoTopologyOnceItIsKilledThoughTheOrderComesWhenIt
   order(kill);
   start();
   ASSERT_TRUE(eventually([&] { return killed_ == 1; }));
-  control_.reset();
+  end_control();
   EXPECT_FALSE(watcher_->get(paths_.topology("t"_topology)));
 }
 
@@ -359,13 +365,13 @@ TEST_F(WorkerControlTest, WhatIsOrderedOutlivesTheLastWorkerThatStops) {
   start();
   order(numbered(1, false));
   ASSERT_TRUE(says("inactive", 1));
-  control_.reset();
+  end_control();
   EXPECT_THAT(discovery::list_workers(*watcher_, paths_, "t"_topology), IsEmpty());
   EXPECT_TRUE(watcher_->get(paths_.topology_order("t"_topology)));
   watcher_->remove(paths_.topology_order("t"_topology));
   start();
   ASSERT_TRUE(says("active", 0));
-  control_.reset();
+  end_control();
   EXPECT_FALSE(watcher_->get(paths_.topology("t"_topology))) << "nothing was ordered: nothing stays";
 }
 
