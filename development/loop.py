@@ -4,8 +4,9 @@ test ROOM --unit`; then it changes a header that many sources include and times 
 
 usage: ./dev bench loop [--room ROOM]... [--json FILE]      (it builds everything, and runs this file)
 
-Prints each time and writes all as figures to build/bench/loop.json (`./dev bench keep loop`). A change is a comment at the end of the file, which is taken away again (the next build compiles it anew). ccache is off:
-it would return the object of the old text.
+Prints each time and writes all as figures to build/bench/loop.json (`./dev bench keep loop`). A change is a comment at
+the end of the file. Afterwards the file has its text and its time of before, so that the next step compiles nothing
+because of it. ccache is off: it would return the object of the old text.
 """
 import argparse
 import os
@@ -30,7 +31,7 @@ TARGETS = {"room": 45.0, "header": 240.0}  # seconds
 
 def timed(file, command):
     """Seconds that `command` takes after a change of `file`."""
-    text = file.read_bytes()
+    text, status = file.read_bytes(), file.stat()
     try:
         file.write_bytes(text + COMMENTS[file.suffix])
         begin = time.monotonic()
@@ -39,6 +40,7 @@ def timed(file, command):
         seconds = time.monotonic() - begin
     finally:
         file.write_bytes(text)
+        os.utime(file, ns=(status.st_atime_ns, status.st_mtime_ns))
     if done.returncode != 0:
         sys.exit(f"{' '.join(command)}:\n{done.stdout}")
     return seconds
@@ -75,7 +77,7 @@ def main():
         tests = TESTED_BY.get(room, room)
         rows.append(("room", str(file.relative_to(ROOT)), timed(file, ["./dev", "test", tests, "--unit"])))
         print(f"{rows[-1][2]:7.1f} s  {rows[-1][1]}: built, and the unit tests of {tests}", flush=True)
-        subprocess.run(["./dev", "build"], cwd=ROOT, stdout=subprocess.DEVNULL, check=True)  # restores the build
+        subprocess.run(["./dev", "build"], cwd=ROOT, stdout=subprocess.DEVNULL, check=True)  # links the rest
     if not given.room:
         for header in HEADERS:
             rows.append(("header", header, timed(ROOT / header, ["./dev", "build"])))
