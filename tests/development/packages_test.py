@@ -1,10 +1,14 @@
 #!/usr/bin/python3
-"""Tests which Debian packages commands of ./dev install on a machine that has none; nothing is installed."""
+"""Tests which Debian packages commands of ./dev install on a machine that has none, and what it shows meanwhile; nothing
+is installed."""
 import os
+import pty
 import re
+import select
 import shutil
 import subprocess
 import tempfile
+import time
 import unittest
 from pathlib import Path
 
@@ -21,7 +25,37 @@ DEVICES = {"mosquitto", "gstreamer1.0-plugins-good", "gstreamer1.0-plugins-bad",
 RECORDING = {"liblz4-dev", "libzstd-dev"}
 TESTS = {"libgtest-dev", "stunnel4", "clang", "libroscpp-dev"}
 PICTURES = {"gnuplot-nox"}
+# apt-get, which tells its progress in the descriptor that it is given, step by step as the test lets it, and then fails;
+# and a sudo that closes all but three descriptors, as the real one does.
+APT = """#!/bin/bash
+[ "$1" = install ] || exit 0
+[[ " $* " =~ \\ APT::Status-Fd=([0-9]+)\\  ]] || exit 1
+echo "its own words"
+echo "dlstatus:1:40.0:Retrieving file 1 of 3" >&"${BASH_REMATCH[1]}"
+until [ -e downloaded ]; do sleep 0.1; done
+echo "pmstatus:ninja-build:50.0:Unpacking ninja-build" >&"${BASH_REMATCH[1]}"
+until [ -e unpacked ]; do sleep 0.1; done
+echo "E: no space left"
+exit 100
+"""
+SUDO = """#!/bin/bash
+for descriptor in /proc/self/fd/*; do
+  [ "${descriptor##*/}" -lt 3 ] || [ "${descriptor##*/}" -ge 200 ] || eval "exec ${descriptor##*/}>&-"
+done
+case "$1" in tee | chmod | rm) exit 0 ;; esac
+exec "$@"
+"""
 ALL = SERVERS | REDIS | JAVA | STORES | DRIVERS | TESTS | PICTURES
+
+
+def read_until(terminal, pattern):
+    """Reads what is shown on a terminal until it matches. Raises AssertionError when it does not within a minute."""
+    text, deadline = "", time.monotonic() + 60
+    while not re.search(pattern, text):
+        left = deadline - time.monotonic()
+        if left < 0 or not select.select([terminal], [], [], left)[0]:
+            raise AssertionError(f"{pattern} is not shown: {text}")
+        text += os.read(terminal, 4096).decode()
 
 
 class PackagesTest(unittest.TestCase):
@@ -81,6 +115,28 @@ class PackagesTest(unittest.TestCase):
     def test_what_builds_or_documents_all_of_the_sdks_installs_the_stores(self):
         for words in (("build",), ("docs",), ("install", "there"), ("bench", "state")):
             self.assertEqual(self.installed_by(*words, of=STORES | RECORDING), STORES | RECORDING, words)
+
+    def test_apts_progress_is_told_on_a_terminal_also_with_sudo(self):
+        for name, text in (("apt-get", APT), ("sudo", SUDO)):
+            (self.folder / name).write_text(text)
+            (self.folder / name).chmod(0o755)
+        terminal, end = pty.openpty()
+        with subprocess.Popen([self.folder / "dev", "build"], stdin=subprocess.DEVNULL, stdout=end, stderr=subprocess.PIPE, text=True,
+                              env={**os.environ, "PATH": f"{self.folder}:{os.environ['PATH']}"}) as dev:
+            os.close(end)
+            try:
+                read_until(terminal, r"packages: 40 %  downloading, \d+ s, about \d+ s left of this")
+                (self.folder / "downloaded").touch()
+                read_until(terminal, r"packages: 50 %  Unpacking ninja-build, \d+ s, about \d+ s left of this")
+            finally:
+                (self.folder / "downloaded").touch()
+                (self.folder / "unpacked").touch()
+            error = dev.stderr.read()
+        os.close(terminal)
+        self.assertNotEqual(dev.returncode, 0)
+        self.assertIn("E: no space left", error)
+        self.assertIn("build/deps.log", error)
+        self.assertEqual((self.folder / "build/deps.log").read_text(), "its own words\nE: no space left\n")
 
 
 if __name__ == "__main__":
