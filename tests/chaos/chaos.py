@@ -325,7 +325,7 @@ def main():
     kinds = schedule.STEADY if given.faults == "steady" else [word for word in given.faults.split(",") if word]
     targets = [word for word in given.targets.split(",") if word]
     first = given.seed if given.seed is not None else int(time.time())
-    results, failed = Results(given.results), 0
+    results, failed, took = Results(given.results), 0, []
     if not given.print:
         in_own_spaces()
     for seed in range(first, first + given.runs):
@@ -344,13 +344,14 @@ def main():
         if given.runs > 1 and not given.again and results.has(**key):
             log(f"seed {seed}: {results.file} has its result already")
             continue
-        log(title)
+        log(title + place_in_series(seed - first, given.runs, took))
         name = f"{given.broker}-{seed}"
         try:
             run = one(given, seed, actions, name)
         except Unavailable as error:
             print(f"SKIPPED chaos: {error}")
             sys.exit(SKIPPED)
+        took.append(run.took_s)
         results.add(**key, result="violated" if run.violations else "well", actions=len(actions), messages=run.messages,
                     duplicates=run.duplicates, commands=run.commands, converged_s=f"{run.converged_s or 0:.1f}",
                     took_s=f"{run.took_s:.0f}", when=datetime.datetime.now().isoformat(timespec="seconds"),
@@ -361,6 +362,14 @@ def main():
             if given.shrink:
                 smaller(given, seed, actions)
     sys.exit(1 if failed else 0)
+
+
+def place_in_series(done, runs, took):
+    """What a run's title says of the series: which run it is, and about how long all still take. `took`: seconds of runs so far."""
+    if runs == 1:
+        return ""
+    left = f", about {(runs - done) * sum(took) / len(took) / 60:.1f} min left" if took else ""
+    return f"; run {done + 1} of {runs}{left}"
 
 
 def identity(file):
