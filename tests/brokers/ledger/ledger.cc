@@ -57,7 +57,7 @@ class Account {
       return;
     }
     std::uint64_t& last = last_[number % keys];
-    if (number < last) ++out_of_order_;
+    if (number < last) ++(delivery.redelivered ? overtaken_ : out_of_order_);
     last = std::max(last, number);
   }
 
@@ -86,6 +86,7 @@ class Account {
     ledger.duplicated += duplicated_;
     ledger.duplicated_unmarked += duplicated_unmarked_;
     ledger.out_of_order += out_of_order_;
+    ledger.overtaken += overtaken_;
     ledger.damaged += damaged_;
   }
 
@@ -106,6 +107,7 @@ class Account {
   std::uint64_t duplicated_ = 0;
   std::uint64_t duplicated_unmarked_ = 0;
   std::uint64_t out_of_order_ = 0;
+  std::uint64_t overtaken_ = 0;
   std::uint64_t damaged_ = 0;
 };
 
@@ -177,8 +179,8 @@ void torment(const Victim& victim, const LedgerOptions& options, Ledger& ledger)
 std::ostream& operator<<(std::ostream& out, const Ledger& ledger) {
   return out << "sent " << ledger.sent << ", confirmed " << ledger.confirmed << ", received " << ledger.received
              << ", lost = " << ledger.lost << ", duplicated " << ledger.duplicated << " (and "
-             << ledger.duplicated_unmarked << " not marked), out of order = " << ledger.out_of_order << ", unanswered "
-             << ledger.unanswered << ", refused " << ledger.refused << ", damaged " << ledger.damaged << " ("
+             << ledger.duplicated_unmarked << " not marked), out of order = " << ledger.out_of_order << ", overtaken "
+             << ledger.overtaken << ", unanswered " << ledger.unanswered << ", refused " << ledger.refused << ", damaged " << ledger.damaged << " ("
              << ledger.kills << " kills, " << ledger.pauses << " pauses)";
 }
 
@@ -214,6 +216,7 @@ Ledger run_ledger(const std::string& kind, const LedgerOptions& options) {
   EXPECT_GT(ledger.confirmed, 0U);
   EXPECT_EQ(ledger.lost, 0U);
   EXPECT_EQ(ledger.out_of_order, 0U);
+  if (!victim.keeps_gaps) EXPECT_EQ(ledger.overtaken, 0U);
   EXPECT_EQ(ledger.duplicated_unmarked, 0U);
   EXPECT_EQ(ledger.refused, 0U);
   EXPECT_EQ(ledger.damaged, 0U);

@@ -79,6 +79,7 @@ Victim make_victim(const std::string& kind) {
     victim = replicated_kafka_victim();
   } else {
     victim = process_victim(kind + ".py");
+    victim.keeps_gaps = kind == "rabbitmq";  // classic queues: see brokers/rabbitmq/README.md
   }
   victim.options.heartbeat = std::chrono::seconds(2);
   return victim;
