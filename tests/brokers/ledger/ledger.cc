@@ -216,7 +216,9 @@ Ledger run_ledger(const std::string& kind, const LedgerOptions& options) {
   EXPECT_GT(ledger.confirmed, 0U);
   EXPECT_EQ(ledger.lost, 0U);
   EXPECT_EQ(ledger.out_of_order, 0U);
-  if (!victim.keeps_gaps) EXPECT_EQ(ledger.overtaken, 0U);
+  if (!victim.keeps_gaps) {
+    EXPECT_EQ(ledger.overtaken, 0U);
+  }
   EXPECT_EQ(ledger.duplicated_unmarked, 0U);
   EXPECT_EQ(ledger.refused, 0U);
   EXPECT_EQ(ledger.damaged, 0U);
