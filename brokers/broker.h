@@ -95,7 +95,7 @@ struct Past {
 };
 
 /// Sends to one topic, in order. Thread safe. What it has accepted it sends again after a reconnect until the broker
-/// has confirmed it (duplicates are possible, loss is not, order is kept but by a killed RabbitMQ: rabbitmq/README.md).
+/// has confirmed it (duplicates are possible, loss is not, order is kept; of a killed RabbitMQ: rabbitmq/README.md).
 class Publisher {
  public:
   virtual ~Publisher() = default;  ///< closes without draining
