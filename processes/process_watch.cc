@@ -55,8 +55,9 @@ void ProcessWatch::send(std::string frame) {
 }
 
 void ProcessWatch::stop(std::string frame, milliseconds limit) {
-  send(std::move(frame));
   const config::MutexLock lock(mutex_);
+  // Both at once: the process may end as soon as it has the frame, and then it must count as told.
+  if (!stop_deadline_) waiting_.push_back(std::move(frame));
   const auto deadline = Steady::now() + limit + options_.stop_margin;
   stop_deadline_ = std::min(stop_deadline_.value_or(deadline), deadline);
   waker_.wake();
