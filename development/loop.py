@@ -20,6 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "bench"))
 
 import figures  # noqa: E402
+from heartbeat import Heartbeat, seconds_of_last_run  # noqa: E402
 
 ROOMS = ["config", "security", "rpc", "brokers", "discovery", "recording", "drivers", "processes", "gateway", "master",
          "topology", "check", "examples", "deploy"]
@@ -65,28 +66,36 @@ def results_of(rows):
         yield {"name": f"one changed {kind}: {name}", "value": seconds, "unit": "s", "met": None}
 
 
+def measured(rooms):
+    """Rows (kind, name, seconds) of these rooms; without any, of all and of the headers. Prints each."""
+    rows = []
+    for room in rooms or ROOMS:
+        file = largest_source(room)
+        tests = TESTED_BY.get(room, room)
+        rows.append(("room", str(file.relative_to(ROOT)), timed(file, ["./dev", "test", tests, "--unit"])))
+        print(f"{rows[-1][2]:7.1f} s  {rows[-1][1]}: built, and the unit tests of {tests}", flush=True)
+        subprocess.run(["./dev", "build"], cwd=ROOT, stdout=subprocess.DEVNULL, check=True)  # links the rest
+    if not rooms:
+        for header in HEADERS:
+            rows.append(("header", header, timed(ROOT / header, ["./dev", "build"])))
+            print(f"{rows[-1][2]:7.1f} s  {header}: everything built", flush=True)
+    return rows
+
+
 def main():
     parser = argparse.ArgumentParser(prog="./dev bench loop", description=__doc__.split("\n")[0])
     parser.add_argument("--room", action="append", choices=ROOMS)
     parser.add_argument("--json", type=Path, default=ROOT / "build/bench/loop.json")
     given = parser.parse_args()
     begun = figures.begin(ROOT)
-    rows = []
-    for room in given.room or ROOMS:
-        file = largest_source(room)
-        tests = TESTED_BY.get(room, room)
-        rows.append(("room", str(file.relative_to(ROOT)), timed(file, ["./dev", "test", tests, "--unit"])))
-        print(f"{rows[-1][2]:7.1f} s  {rows[-1][1]}: built, and the unit tests of {tests}", flush=True)
-        subprocess.run(["./dev", "build"], cwd=ROOT, stdout=subprocess.DEVNULL, check=True)  # links the rest
-    if not given.room:
-        for header in HEADERS:
-            rows.append(("header", header, timed(ROOT / header, ["./dev", "build"])))
-            print(f"{rows[-1][2]:7.1f} s  {header}: everything built", flush=True)
+    command = figures.command_line(["loop", *sys.argv[1:]])
+    with Heartbeat("loop", seconds_of_last_run(given.json, command)):
+        rows = measured(given.room)
     results = list(results_of(rows))
     for result in results:
         if result["met"] is not None:
             print(f"{result['value']:7.1f} s  {result['name']}; {result['target']} s are wanted")
-    figures.write(given.json, figures.command_line(["loop", *sys.argv[1:]]), begun, {}, results)
+    figures.write(given.json, command, begun, {}, results)
 
 
 if __name__ == "__main__":

@@ -43,6 +43,12 @@ class LoopTest(unittest.TestCase):
         self.assertEqual([row["value"] for row in rows], [20.0, 50.0, 30.0])
         self.assertRegex(rows[0]["name"], r"^one changed room: gateway/.*\.cc$")
 
+    def test_it_tells_meanwhile_how_long_the_last_run_took(self):
+        last = self.measured("gateway")
+        with mock.patch.object(loop, "Heartbeat") as heartbeat:
+            self.measured("gateway")
+        heartbeat.assert_called_once_with("loop", last["seconds"])
+
     def test_all_rooms_and_the_headers_can_be_kept_and_shown(self):
         self.measured()
         data = kept.read(self.file)

@@ -89,6 +89,8 @@ class PackagesTest(unittest.TestCase):
         self.assertEqual(self.installed_by("bench", "brokers", "--quick", "--only", "rabbitmq"), {"rabbitmq-server"})
         self.assertEqual(self.installed_by("bench", "brokers", "--only=kafka"), {"maven", "openjdk-17-jdk-headless"})
         self.assertEqual(self.installed_by("bench", "brokers"), {"rabbitmq-server", "maven", "openjdk-17-jdk-headless"})
+        self.assertEqual(self.installed_by("bench", "state", "--broker", "kafka", of=JAVA), JAVA)
+        self.assertEqual(self.installed_by("bench", "state", of=JAVA), {"openjdk-17-jre-headless"})
 
     def test_redis_is_installed_for_tests_with_servers_and_for_the_benchmark_of_state(self):
         for words, expected in ((("test",), REDIS), (("test", "--repeat", "1"), REDIS), (("bench", "state"), REDIS), (("deps",), REDIS),
