@@ -180,8 +180,8 @@ std::ostream& operator<<(std::ostream& out, const Ledger& ledger) {
   return out << "sent " << ledger.sent << ", confirmed " << ledger.confirmed << ", received " << ledger.received
              << ", lost = " << ledger.lost << ", duplicated " << ledger.duplicated << " (and "
              << ledger.duplicated_unmarked << " not marked), out of order = " << ledger.out_of_order << ", overtaken "
-             << ledger.overtaken << ", unanswered " << ledger.unanswered << ", refused " << ledger.refused << ", damaged " << ledger.damaged << " ("
-             << ledger.kills << " kills, " << ledger.pauses << " pauses)";
+             << ledger.overtaken << ", unanswered " << ledger.unanswered << ", refused " << ledger.refused
+             << ", damaged " << ledger.damaged << " (" << ledger.kills << " kills, " << ledger.pauses << " pauses)";
 }
 
 Ledger run_ledger(const std::string& kind, const LedgerOptions& options) {

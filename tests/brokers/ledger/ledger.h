@@ -35,11 +35,11 @@ struct Ledger {
   std::uint64_t lost = 0;                 ///< confirmed, but never received
   std::uint64_t duplicated = 0;           ///< further copies, marked as possibly redelivered
   std::uint64_t duplicated_unmarked = 0;  ///< further copies without that mark
-  std::uint64_t out_of_order = 0;         ///< first copies without that mark that came after a later message of their key
-  std::uint64_t overtaken = 0;            ///< first copies with that mark that came after a later message of their key
-  std::uint64_t unanswered = 0;           ///< without any outcome at the end
-  std::uint64_t refused = 0;              ///< refused by the broker, although no fault of the server justifies that
-  std::uint64_t damaged = 0;              ///< received with other bytes than sent
+  std::uint64_t out_of_order = 0;  ///< first copies without that mark that came after a later message of their key
+  std::uint64_t overtaken = 0;     ///< first copies with that mark that came after a later message of their key
+  std::uint64_t unanswered = 0;    ///< without any outcome at the end
+  std::uint64_t refused = 0;       ///< refused by the broker, although no fault of the server justifies that
+  std::uint64_t damaged = 0;       ///< received with other bytes than sent
   int kills = 0;
   int pauses = 0;
 };
