@@ -6,8 +6,8 @@ usage: summary.py [--ci] [--steps FILE] [--table FILE] [--left-out FILE] [--not-
 Prints the time of each step (FILE: "seconds<TAB>name<TAB>what pace.py said<TAB>seconds of CPU" a line), the ten slowest
 tests, what was skipped and why, which of the chosen tests CMake left out and what is missing for them (tests_left_out.tsv
 beside a JUnit file), what failed, and in the end "N passed, N failed, N skipped". With --ci a test that was left out is a
-failure; so is a skip, unless the `skips_allowed` of limits.json name the test and a cause that this machine has (`CAUSES`), and,
-with --whole, a run that took longer than its `minutes`. These
+failure; so is a skip, unless the `skips_allowed` of limits.json name the test and the cause that it told, and this machine has
+that cause (`CAUSES`), and, with --whole, a run that took longer than its `minutes`. These
 are minutes of a machine where pace.py takes `pace_s` seconds: a slower machine is allowed more, in proportion, up to
 `slower_at_most` times as much. --table: one line for each test. --left-out: a file that names the sources that lint.py had no
 time for; they are told before the last line. --not-built: presets whose build failed; each counts as a failed test. The exit status is 1 after a failure.
@@ -24,6 +24,7 @@ import time
 import xml.etree.ElementTree as xml
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Callable, NamedTuple
 
 LIMITS = Path(__file__).resolve().parent / "limits.json"
 SLOWEST = 10
@@ -35,27 +36,36 @@ def landlock():
     return ctypes.CDLL(None).syscall(create_ruleset, None, 0, tell_version)
 
 
-# Why a test may be skipped, and whether it is so here.
+class Cause(NamedTuple):
+    """Why a test may be skipped: what tests say then, and whether it is so here."""
+    said: re.Pattern
+    is_here: Callable[[], bool]
+
+
 CAUSES = {
-    "Landlock older than 1": lambda: landlock() < 1,
-    "Landlock older than 4": lambda: landlock() < 4,
-    "no camera": lambda: not Path("/dev/video0").exists(),
-    "no AVX2": lambda: "avx2" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split(),
+    "Landlock older than 1": Cause(re.compile("no Landlock"), lambda: landlock() < 1),
+    "Landlock older than 4": Cause(re.compile("cannot restrict connections"), lambda: landlock() < 4),
+    "no camera": Cause(re.compile("no camera"), lambda: not Path("/dev/video0").exists()),
+    "no AVX2": Cause(re.compile("no AVX2"), lambda: "avx2" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split()),
     # Version 2 of cgroups has one tree there, version 1 one in each folder.
-    "no cgroup to write to": lambda: not any(os.access(file, os.W_OK) for pattern in ("cgroup.procs", "*/cgroup.procs")
-                                             for file in Path("/sys/fs/cgroup").glob(pattern)),
+    "no cgroup to write to": Cause(re.compile("no cgroups in|no cgroup of its own"),
+                                   lambda: not any(os.access(file, os.W_OK) for pattern in ("cgroup.procs", "*/cgroup.procs")
+                                                   for file in Path("/sys/fs/cgroup").glob(pattern))),
     # Of version 2 of cgroups: a group counts what the one above it says.
-    "no count of processes": lambda: (file := Path("/sys/fs/cgroup/cgroup.subtree_control")).exists() and
-                                     "pids" not in file.read_text(encoding="utf-8").split(),
-    "no name spaces": lambda: subprocess.run(["unshare", "--mount", "--pid", "--fork", "true"], stderr=subprocess.DEVNULL).returncode != 0,
-    "not root": lambda: os.geteuid() != 0,
+    "no count of processes": Cause(re.compile("no group of processes here counts them"),
+                                   lambda: (file := Path("/sys/fs/cgroup/cgroup.subtree_control")).exists() and
+                                           "pids" not in file.read_text(encoding="utf-8").split()),
+    "no name spaces": Cause(re.compile("no name spaces"),
+                            lambda: subprocess.run(["unshare", "--mount", "--pid", "--fork", "true"],
+                                                   stderr=subprocess.DEVNULL).returncode != 0),
+    "not root": Cause(re.compile("only root (can|may)"), lambda: os.geteuid() != 0),
 }
 
 
-def allowed(name, skips_allowed):
-    """The cause for which a test may be skipped on this machine; None: there is none."""
+def allowed(name, reason, skips_allowed):
+    """The cause for which a test may be skipped on this machine, which is the one that it told; None: there is none."""
     causes = [cause for pattern, named in skips_allowed.items() if re.search(pattern, name) for cause in named]
-    return next((cause for cause in causes if CAUSES[cause]()), None)
+    return next((cause for cause in causes if CAUSES[cause].said.search(reason) and CAUSES[cause].is_here()), None)
 
 
 # How GoogleTest, unittest and the scripts of this tree print why a test was skipped.
@@ -133,7 +143,7 @@ def report(tests, missing, steps, limits, ci, whole):
     if skipped:
         print("\nskipped:")
     for test in skipped:
-        cause = allowed(test.name, limits["skips_allowed"])
+        cause = allowed(test.name, test.reason(), limits["skips_allowed"])
         print(f"  {test.full_name()}: {test.reason()}" + (f" [allowed: {cause}]" if cause else ""))
         if ci and cause is None:
             wrong.append(f"{test.full_name()} was skipped, which {LIMITS.name} does not allow on this machine")

@@ -45,9 +45,14 @@ def skip(why):
 
 
 def require_means():
-    """Skips the test where systemd cannot be booted so."""
-    if os.geteuid() != 0 or not Path(SYSTEMD).exists() or not shutil.which("unshare"):
-        skip("root, systemd and unshare are needed")
+    """Skips the test where systemd cannot be booted so. development/summary.py knows the texts of what a machine may lack."""
+    if os.geteuid() != 0:
+        skip("only root can boot a systemd")
+    if not Path(SYSTEMD).exists() or not shutil.which("unshare"):
+        skip("systemd and unshare are needed")
+    done = subprocess.run(["unshare", "--mount", "--pid", "--fork", "true"], capture_output=True, text=True, check=False)
+    if done.returncode:
+        skip(f"no name spaces of its own: {done.stderr.strip()}")
 
 
 class Space:

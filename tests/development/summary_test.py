@@ -48,6 +48,12 @@ class SummaryTest(unittest.TestCase):
             wrong = summary.report(self.tests, given.get("missing", []), given.get("steps", []), LIMITS, given.get("ci", False), True)
         return wrong, out.getvalue()
 
+    @staticmethod
+    def machine(**has):
+        """A machine that has these causes, or has not; of the others nothing is changed."""
+        return mock.patch.dict(summary.CAUSES, {cause: summary.CAUSES[cause]._replace(is_here=lambda so=so: so)
+                                                for cause, so in has.items()})
+
     def test_reads_outcomes(self):
         self.assertEqual([(test.preset, test.outcome) for test in self.tests],
                          [("release", "passed"), ("release", "failed"), ("release", "skipped"), ("release", "skipped")])
@@ -59,9 +65,17 @@ class SummaryTest(unittest.TestCase):
 
     def test_in_ci_only_the_skips_pass_that_are_allowed_for_a_cause_of_this_machine(self):
         for has_avx2, refused in {False: ["Hosts.OfAnotherUser"], True: ["DepthInversion.avx2", "Hosts.OfAnotherUser"]}.items():
-            with mock.patch.dict(summary.CAUSES, {"not root": lambda: False, "no AVX2": lambda has_avx2=has_avx2: not has_avx2}):
+            with self.machine(**{"not root": False, "no AVX2": not has_avx2}):
                 wrong, _ = self.report(ci=True)
             self.assertEqual([text.split()[0] for text in wrong], refused)
+
+    def test_in_ci_a_test_must_have_told_the_cause_for_which_its_skip_is_allowed(self):
+        with self.machine(**{"not root": True, "no AVX2": True}):
+            self.assertEqual(summary.allowed("avx2", "this machine has no AVX2", LIMITS["skips_allowed"]), "no AVX2")
+            self.assertEqual(summary.allowed("avx2", "only root can see it", LIMITS["skips_allowed"]), "not root")
+            self.assertIsNone(summary.allowed("avx2", "no server", LIMITS["skips_allowed"]))
+        with self.machine(**{"not root": True, "no AVX2": False}):
+            self.assertIsNone(summary.allowed("avx2", "this machine has no AVX2", LIMITS["skips_allowed"]))
 
     def test_tests_that_were_left_out_are_told_and_fail_in_ci(self):
         missing = [["components_run_on_storm", "it needs jni.h (Debian: openjdk)"]]
@@ -86,8 +100,18 @@ class SummaryTest(unittest.TestCase):
     def test_every_cause_for_a_skip_is_one_that_is_looked_at(self):
         named = {cause for causes in json.loads(summary.LIMITS.read_text())["skips_allowed"].values() for cause in causes}
         self.assertEqual(named, set(summary.CAUSES))
-        for cause, is_here in summary.CAUSES.items():
-            self.assertIn(is_here(), (True, False), cause)
+        for name, cause in summary.CAUSES.items():
+            self.assertIn(cause.is_here(), (True, False), name)
+
+    def test_what_tests_say_when_they_are_skipped_names_one_cause(self):
+        told = [text for file in (TREE / "tests").rglob("*.cc")
+                for text in re.findall(r'GTEST_SKIP\(\) << "([^"]*)"', file.read_text())]
+        told += re.findall(r'skip\(f?"([^"]*)"', "".join(file.read_text() for file in (TREE / "tests/deploy").glob("*.py")))
+        self.assertGreater(len(told), 10)
+        elsewhere = {"there is no zsh", "systemd and unshare are needed", "no bare Debian"}  # packages, which ./dev installs
+        for text in told:
+            named = [name for name, cause in summary.CAUSES.items() if cause.said.search(text)]
+            self.assertEqual(len(named), 0 if any(text.startswith(each) for each in elsewhere) else 1, text)
 
     def test_all_tests_that_boot_a_systemd_may_be_skipped_where_they_cannot(self):
         folder = TREE / "tests/deploy"
