@@ -212,9 +212,12 @@ class RabbitMq(private_server.Server):
             return probe.recv(1) == b"\x01"  # a method frame: connection.start
 
     def control(self, *arguments):
-        subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, *arguments], env=self.environment(),
-                       stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, check=True, timeout=PATIENCE_S,
-                       preexec_fn=private_server.become_child)
+        """Has rabbitmqctl do this, and returns what it printed."""
+        # Erlang takes a node for one that is down when it does not greet within 7 s; one of a busy machine needs longer.
+        env = self.environment() | {"ERL_FLAGS": "-kernel net_setuptime 120"}
+        return subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, "-q", *arguments], env=env,
+                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, check=True, timeout=PATIENCE_S,
+                              preexec_fn=private_server.become_child).stdout
 
     def alarm(self):
         self.control("set_vm_memory_high_watermark", "0")
@@ -270,16 +273,11 @@ class RabbitMq(private_server.Server):
 
     def clients(self):
         return "CLIENTS " + "; ".join(
-            self.listed("list_connections", "user", "peer_cert_subject", "peer_cert_validity").splitlines()[1:])  # after the headers
+            self.control("list_connections", "user", "peer_cert_subject", "peer_cert_validity").splitlines()[1:])  # after the headers
 
     def queues(self):
         """How many durable queues there are."""
-        return f"QUEUES {self.listed('list_queues', 'durable').split().count('true')}"
-
-    def listed(self, *arguments):
-        return subprocess.run([PROGRAMS + "/rabbitmqctl", "-n", self.node_name, "-q", *arguments], env=self.environment(),
-                              stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, check=True, timeout=PATIENCE_S,
-                              preexec_fn=private_server.become_child).stdout
+        return f"QUEUES {self.control('list_queues', 'durable').split().count('true')}"
 
     def stop(self):
         answer = super().stop()

@@ -183,8 +183,13 @@ def check_adoption(pools):
     before = pools.worker_of("pool-1")
     require(len(before) == 1, before)
     pools.end("pool-1", signal.SIGKILL)
+    begun_ms = time.time() * 1000
     pools.again("pool-1")
     wait_for("the pool has adopted its worker", lambda: "adopted worker" in pools.log("pool-1").read_text())
+    # Until the pool has its node again, the registry has what the killed one wrote, and for a moment nothing.
+    wait_for("pool-1 tells that its worker runs", lambda: any(
+        place["pool"] == "pool-1" and place["state"] == "running" and place["since_ms"] >= begun_ms
+        for place in pools.show()["places"]))
     wait_for("both pools run a worker", lambda: len(pools.places()) == 2)
     require(pools.worker_of("pool-1") == before, f"{pools.show()}, not {before}")
 
