@@ -96,6 +96,8 @@ class ServerLink : public IoLoop::Service {
     }
   }
 
+  /// Whether the answer to what the server was asked then is overdue.
+  bool has_waited_too_long(Instant asked) const IOTCLOUD_REQUIRES(mutex_);
   bool connected() const IOTCLOUD_REQUIRES(mutex_) { return phase_ == Phase::up; }
   Engine& engine() IOTCLOUD_REQUIRES(mutex_) { return *engine_; }
   pn_link_t* sender() IOTCLOUD_REQUIRES(mutex_) { return sender_; }
@@ -134,8 +136,6 @@ class ServerLink : public IoLoop::Service {
   void greet() IOTCLOUD_REQUIRES(mutex_);
   void greeted() IOTCLOUD_REQUIRES(mutex_);
   void answered(std::string_view message) IOTCLOUD_REQUIRES(mutex_);
-  /// Whether the answer to a question that was asked then is overdue.
-  bool has_waited_too_long(Instant asked) const IOTCLOUD_REQUIRES(mutex_);
   void lost(const std::string& why) IOTCLOUD_REQUIRES(mutex_);
   void finish() IOTCLOUD_REQUIRES(mutex_);
 

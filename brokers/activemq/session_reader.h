@@ -22,8 +22,8 @@ class SessionReader final : public client::OwnDeliveryStream {
  public:
   enum class Phase {
     idle,     ///< no session: not connected, or waiting for `retry_at`
-    asking,   ///< no session: it has asked whether another reader has the queue; the answer must come by `retry_at`
-    opening,  ///< requested; the answer must come by `retry_at`
+    asking,   ///< no session: it has asked whether another reader has the queue, at `asked_at`
+    opening,  ///< requested at `asked_at`
     active,   ///< reads
   };
 
@@ -35,7 +35,8 @@ class SessionReader final : public client::OwnDeliveryStream {
   const std::string queue;
 
   Phase phase = Phase::idle;
-  std::optional<config::Clock::Instant> retry_at;
+  std::optional<config::Clock::Instant> retry_at;  ///< while an answer is awaited: when to see whether it is overdue
+  config::Clock::Instant asked_at{};
   client::Backoff backoff{std::chrono::milliseconds(50), std::chrono::milliseconds(1000)};
   std::string complaint;     ///< the last logged complaint, so that it is not logged again
   bool odd_logged = false;   ///< an undecodable message was logged

@@ -1,7 +1,9 @@
 // Peers that break AMQP's rules: no thread ends, and valid messages still pass.
 #include <algorithm>
+#include <chrono>
 #include <memory>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <gmock/gmock.h>
@@ -107,6 +109,37 @@ TEST_F(ActiveMqHostile, AStreamThatIsCorruptEndsTheConnectionAndNothingIsLost) {
     if (std::find(first_time.begin(), first_time.end(), one.body) == first_time.end()) first_time.push_back(one.body);
   }
   EXPECT_EQ(first_time, numbered(1, sent));
+}
+
+TEST_F(ActiveMqHostile, AServerThatIsHeardIsWaitedForWhenItAnswersARequestToReadLateAndASilentOneIsLeft) {
+  constexpr std::chrono::seconds rpc_timeout{2};
+  BrokerOptions options;
+  options.urls = {"activemq://127.0.0.1:" + std::to_string(proxy_.port())};
+  options.rpc_timeout = rpc_timeout;
+  options.heartbeat = std::chrono::seconds(30);
+  const auto broker = make_broker(options);
+  Inbox inbox;
+  const auto early = broker->subscribe(topic(), {}, inbox.handler());
+  ASSERT_TRUE(eventually([&] { return early->active(); }));
+  const int connections = proxy_.connections();
+
+  server_->pause();
+  Topic other = topic();
+  other.name += ".other";
+  const auto late = broker->subscribe(other, {}, inbox.handler());
+  const std::string heartbeat("\0\0\0\x08\x02\0\0\0", 8);
+  const auto end = std::chrono::steady_clock::now() + 2 * rpc_timeout;
+  while (std::chrono::steady_clock::now() < end) {
+    proxy_.inject(heartbeat);
+    std::this_thread::sleep_for(std::chrono::milliseconds(20));  // the server's pace
+  }
+  EXPECT_EQ(proxy_.connections(), connections) << "it was heard all the time";
+  EXPECT_TRUE(early->active());
+  EXPECT_FALSE(late->active());
+
+  EXPECT_TRUE(eventually([&] { return proxy_.connections() > connections; })) << "it is silent now";
+  server_->resume();
+  EXPECT_TRUE(eventually([&] { return early->active() && late->active(); }));
 }
 
 }  // namespace

@@ -197,9 +197,9 @@ TEST_F(ActiveMqServer, UrgentMessagesHaveConnectionsOfTheirOwn) {
 
 TEST_F(ActiveMqServer, OneBrokerObjectHoldsAThousandSubscriptionsAndPublishers) {
   const auto broker = this->broker();
+  Inbox inbox;  // outlives those that call it, also when not all messages come
   std::vector<std::unique_ptr<Subscription>> subscriptions;
   std::vector<std::unique_ptr<Publisher>> publishers;
-  Inbox inbox;
   for (int i = 0; i < 1000; ++i) {
     Topic one = topic();
     one.name += "." + std::to_string(i);
