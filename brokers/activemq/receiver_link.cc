@@ -28,8 +28,6 @@ constexpr std::chrono::microseconds quick{50};
 // The most subscriptions requested at a time. The time limit for an answer starts with the request, so it has not begun
 // for the others.
 constexpr std::size_t opened_at_once = 64;
-// How often it is looked whether an answer is overdue.
-constexpr std::chrono::milliseconds look_pause{250};
 // Credit is renewed when this fraction (1/n) of it has been used, because each renewal costs a frame.
 constexpr std::uint32_t credit_parts = 4;
 
@@ -216,7 +214,7 @@ void ReceiverLink::open_due() {
       next_try_ = std::min(next_try_, *reader->retry_at);
     } else if (reader->phase != SessionReader::Phase::idle) {
       if (has_waited_too_long(reader->asked_at)) return abandon("no answer to the request to read " + reader->queue);
-      reader->retry_at = now() + look_pause;
+      reader->retry_at = now() + look_period;
       next_try_ = std::min(next_try_, *reader->retry_at);
     } else if (opening_ < opened_at_once) {
       if (reader->stands_by) {
@@ -233,7 +231,7 @@ void ReceiverLink::ask_first(const std::shared_ptr<SessionReader>& reader) {
   reader->phase = SessionReader::Phase::asking;
   ++opening_;
   reader->asked_at = now();
-  reader->retry_at = reader->asked_at + look_pause;
+  reader->retry_at = reader->asked_at + look_period;
   to_ask_.push_back(reader);
 }
 
@@ -241,7 +239,7 @@ void ReceiverLink::open(const std::shared_ptr<SessionReader>& reader) {
   reader->phase = SessionReader::Phase::opening;
   ++opening_;
   reader->asked_at = now();
-  reader->retry_at = reader->asked_at + look_pause;
+  reader->retry_at = reader->asked_at + look_period;
   reader->session = pn_session(engine().connection());
   pn_session_set_context(reader->session, reader.get());
   pn_session_open(reader->session);

@@ -17,8 +17,6 @@
 namespace iotcloud::brokers::activemq {
 namespace {
 
-// How often a connection is checked if no event arrives.
-constexpr std::chrono::milliseconds look_period{250};
 constexpr std::chrono::seconds goodbye{1};
 /// How many times `rpc_timeout` an answer may take while the server sends something else.
 constexpr int times_longer_while_heard = 12;

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <functional>
 #include <map>
@@ -52,6 +53,8 @@ class ServerLink : public IoLoop::Service {
   void flush() override;
 
  protected:
+  /// How often a connection is checked, and whether an answer is overdue, if no event arrives.
+  static constexpr std::chrono::milliseconds look_period{250};
   using Answer = std::function<void(const std::vector<QueueFacts>&)>;
 
   virtual void up() IOTCLOUD_REQUIRES(mutex_) = 0;          ///< the connection is open
