@@ -19,7 +19,6 @@ namespace iotcloud::master {
 
 namespace {
 
-constexpr std::chrono::milliseconds answer_limit{3000};
 /// For the answers of all gateways; those whose answers are missing by then are named.
 constexpr std::chrono::seconds all_limit{15};
 constexpr std::int32_t most_changes = 10'000;
@@ -156,8 +155,8 @@ DriverHistory read_history(const Master& master, const GatewayAccess& access, Ga
   // they know.
   history.changes = ask_gateways<DriverChange>(
       master, access, asks, gateways, history.silent,
-      [](const SiteAddress& site, const discovery::GatewayId& gateway) {
-        return site_changes(site, gateway, {}, answer_limit);
+      [limit = access.answer_limit](const SiteAddress& site, const discovery::GatewayId& gateway) {
+        return site_changes(site, gateway, {}, limit);
       },
       cut);
   return history;
@@ -168,8 +167,8 @@ GatewayPlugins read_plugins(const Master& master, const GatewayAccess& access, G
   GatewayPlugins answer;
   answer.plugins = ask_gateways<GatewayPlugin>(
       master, access, asks, gateways, answer.silent,
-      [](const SiteAddress& site, const discovery::GatewayId& gateway) {
-        return site_plugins(site, gateway, answer_limit);
+      [limit = access.answer_limit](const SiteAddress& site, const discovery::GatewayId& gateway) {
+        return site_plugins(site, gateway, limit);
       },
       [](std::vector<GatewayPlugin>& plugins) {
         std::stable_sort(plugins.begin(), plugins.end(),
@@ -187,10 +186,9 @@ std::vector<CarriedByGateway> read_carried(const Master& master, const GatewayAc
   std::map<discovery::GatewayId, std::string> silent;  // they have no rate until they answer twice
   return ask_gateways<CarriedByGateway>(
       master, access, asks, asked, silent,
-      [](const SiteAddress& site, const discovery::GatewayId& gateway) {
+      [limit = access.answer_limit](const SiteAddress& site, const discovery::GatewayId& gateway) {
         std::vector<CarriedByGateway> of_hosts;
-        for (auto& messages : site_carried(site, gateway, answer_limit))
-          of_hosts.push_back({gateway, std::move(messages)});
+        for (auto& messages : site_carried(site, gateway, limit)) of_hosts.push_back({gateway, std::move(messages)});
         return of_hosts;
       },
       [](std::vector<CarriedByGateway>&) {});
@@ -199,19 +197,20 @@ std::vector<CarriedByGateway> read_carried(const Master& master, const GatewayAc
 LogPart read_log(const Master& master, const GatewayAccess& access, const discovery::GatewayId& gateway,
                  const discovery::InstanceId& instance, const std::string& position, std::int32_t most_bytes) {
   const auto known = master.gateways();
-  return site_read_log(address_of(find(known, gateway), access), gateway, instance, position, most_bytes, answer_limit);
+  return site_read_log(address_of(find(known, gateway), access), gateway, instance, position, most_bytes,
+                       access.answer_limit);
 }
 
 discovery::ChannelLook look_at_channel(const Master& master, const GatewayAccess& access,
                                        const discovery::GatewayId& gateway, const discovery::LookRequest& request) {
   const auto known = master.gateways();
-  return site_look_at_channel(address_of(find(known, gateway), access), gateway, request, answer_limit);
+  return site_look_at_channel(address_of(find(known, gateway), access), gateway, request, access.answer_limit);
 }
 
 discovery::ChannelLook hand_message(const Master& master, const GatewayAccess& access,
                                     const discovery::GatewayId& gateway, const discovery::HandedMessage& message) {
   const auto known = master.gateways();
-  return site_hand_message(address_of(find(known, gateway), access), gateway, message, answer_limit);
+  return site_hand_message(address_of(find(known, gateway), access), gateway, message, access.answer_limit);
 }
 
 }  // namespace iotcloud::master

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <string>
 
 #include <iotcloud/discovery/directory.h>
@@ -8,13 +9,15 @@
 
 namespace iotcloud::master {
 
-/// The credentials that this master shows to the gateways' Thrift services.
+/// How this master calls the gateways' Thrift services: with which credentials, and how long it waits.
 struct GatewayAccess {
   /// For gateways that speak TLS. A master that has them calls others only on loopback, or if they are of the original.
   security::TlsFiles tls;
   /// Its first line is the token for gateways that speak TLS; empty: none. "{gateway}" in it stands for a gateway's id,
   /// so that each gateway is shown a token of its own.
   std::string token_file;
+  /// For a gateway's answer to a question about what it has, knows or did (gateway_pages.h).
+  std::chrono::milliseconds answer_limit{3000};
 };
 
 /// The address of the gateway's Thrift service. \throws config::Error when this master cannot call it, with the reason.

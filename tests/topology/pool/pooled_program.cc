@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <fstream>
 #include <string>
+#include <utility>
 
 #include <sys/prctl.h>
 #include <sys/ptrace.h>
@@ -58,7 +59,12 @@ int main(int argc, char** argv) {
     link.probe_with(
         [](topology::pooled::WorkerReport& answer) { answer.worker = std::string(std::size_t{17} << 20, 'x'); });
   }
-  if (wanted == "stand still") link.probe_with([](topology::pooled::WorkerReport&) { raise(SIGSTOP); });
+  if (wanted == "stand still") {
+    // Not before one answer has told the pool that it runs.
+    link.probe_with([has_told = false](topology::pooled::WorkerReport&) mutable {
+      if (std::exchange(has_told, true)) raise(SIGSTOP);
+    });
+  }
   if (wanted == "log much") {
     for (int line = 0; line < 200'000; ++line) std::puts("a line of its log");
     std::fflush(stdout);
