@@ -19,8 +19,10 @@ import re
 import sys
 from pathlib import Path
 
-import page
-from figures import number
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "development"))
+import page  # noqa: E402
+from figures import number  # noqa: E402
+from project_files import project_files  # noqa: E402
 
 BLOCK = re.compile(r"(<!-- result: (?P<name>[\w/.-]+)(?: (?P<chosen>[^\n]*?))? -->\n).*?(<!-- end of result -->)", re.S)
 # What takes figures whose file does not have its benchmark's name; tests measure some beside what they test.
@@ -103,8 +105,8 @@ def filled(document, results):
 
 def documents(root):
     """The Markdown files that have a block."""
-    for file in sorted(root.rglob("*.md")):
-        if "build" not in file.relative_to(root).parts and BLOCK.search(file.read_text(encoding="utf-8")):
+    for file in project_files(root):
+        if file.suffix == ".md" and BLOCK.search(file.read_text(encoding="utf-8")):
             yield file
 
 

@@ -3,6 +3,8 @@
 # are written for the prefix /usr, under which the configuration is in /etc; with another prefix it is in PREFIX/etc. State stays
 # below /var/lib, where systemd keeps that of units.
 get_filename_component(prefix "${CMAKE_INSTALL_PREFIX}" ABSOLUTE)
+string(SHA1 of_prefix "$ENV{DESTDIR}${prefix}")  # two installations at the same time do not write each other's files
+string(APPEND PREFIXED_STAGE "/${of_prefix}")
 set(etc "${prefix}/etc")
 if(prefix STREQUAL "/usr")
   set(etc /etc)

@@ -18,8 +18,7 @@ Membership::Membership(discovery::Registry& registry, discovery::Paths paths, Op
                                                          options_.state_id, discovery::new_instance_id().str()})) {}
 
 Membership::Result Membership::join() {
-  if (!tried_) first_try_ = options_.clock->now();
-  tried_ = true;
+  const auto asked = options_.clock->now();
   const discovery::GatewayId& id = options_.record.id;
   try {
     // Without a record, write it before the ephemeral node, so that nobody finds the node without a record. Otherwise
@@ -34,17 +33,14 @@ Membership::Result Membership::join() {
     return Result::joined;
   } catch (const RegistryError& e) {
     if (e.code() == RegistryErrorCode::exists) {
-      tried_ = true;
+      if (!first_taken_) first_taken_ = options_.clock->now();
+      must_be_another_ = asked - *first_taken_ > patience();
       return Result::taken;
     }
     problem_ = e.what();
-    tried_ = false;
+    first_taken_.reset();
     return Result::away;
   }
-}
-
-bool Membership::must_be_another() const {
-  return options_.clock->now() - first_try_ > patience();
 }
 
 void Membership::write_record() {

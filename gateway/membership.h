@@ -53,8 +53,8 @@ class Membership {
   void set_trouble(const std::string& trouble) { record_.trouble = trouble; }
   /// After `taken`: join() has been tried for so long that a dead gateway's session must have expired, so another
   /// gateway is alive.
-  bool must_be_another() const;
-  /// How long that takes from the first try on.
+  bool must_be_another() const { return must_be_another_; }
+  /// How long after the first answer that the id is taken join() must still find it so.
   std::chrono::milliseconds patience() const { return options_.session_timeout + options_.session_timeout / 2; }
   /// Describes who holds the id, for the error message.
   const std::string& holder_address() const { return holder_address_; }
@@ -72,8 +72,9 @@ class Membership {
   const Options options_;
   discovery::GatewayRecord record_;
   const std::string identity_;  ///< data of the ephemeral node, JSON
-  config::Clock::Instant first_try_{};
-  bool tried_ = false;
+  std::optional<config::Clock::Instant>
+      first_taken_;  ///< when the registry first said so; nullopt: not since it was away
+  bool must_be_another_ = false;
   std::string holder_address_;
   std::string problem_;
   discovery::GuardPtr alive_;

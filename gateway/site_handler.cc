@@ -19,7 +19,6 @@ using discovery::wire::TResponseState;
 namespace {
 
 constexpr config::Logger site_logger{"gateway.thrift"};
-constexpr std::chrono::milliseconds answer_limit{2000};  ///< for a driver host
 
 }  // namespace
 
@@ -177,7 +176,7 @@ void SiteHandler::readLog(wire::TLogPart& answer, const std::string& text, const
 void SiteHandler::lookAtChannel(discovery::wire::TChannelLook& answer, const discovery::wire::TLookRequest& request) {
   ChannelQuestion question;
   discovery::fill_own(request, question.look);
-  discovery::fill_wire(gateway_.ask(question, answer_limit), answer);
+  discovery::fill_wire(gateway_.ask(question, answer_limit_), answer);
 }
 
 void SiteHandler::handMessage(discovery::wire::TChannelLook& answer, const discovery::wire::THandedMessage& message) {
@@ -190,7 +189,7 @@ void SiteHandler::handMessage(discovery::wire::TChannelLook& answer, const disco
   auto& by_hand = question.message.emplace();
   by_hand.payload = brokers::Payload::copy(handed.payload);
   for (const auto& [key, value] : handed.properties) by_hand.properties.set(key, value);
-  const auto look = gateway_.ask(question, answer_limit);
+  const auto look = gateway_.ask(question, answer_limit_);
   session_->note(look.problem.empty() ? "done" : look.problem);
   discovery::fill_wire(look, answer);
 }

@@ -12,10 +12,11 @@ namespace iotcloud::gateway {
 class SiteHandler final : public wire::TSensorSiteServiceIf {
  public:
   using Response = discovery::wire::TResponse;
-  SiteHandler(std::chrono::milliseconds outcome_limit, std::string log_folder, Gateway& gateway,
-              discovery::Registry& registry, discovery::Paths paths, std::shared_ptr<rpc::CallerSession> session)
-      : outcome_limit_(outcome_limit),
-        log_folder_(std::move(log_folder)),
+  SiteHandler(const SiteService::Options& options, Gateway& gateway, discovery::Registry& registry,
+              discovery::Paths paths, std::shared_ptr<rpc::CallerSession> session)
+      : outcome_limit_(options.outcome_limit),
+        answer_limit_(options.answer_limit),
+        log_folder_(options.log_folder),
         gateway_(gateway),
         registry_(registry),
         paths_(std::move(paths)),
@@ -59,7 +60,7 @@ class SiteHandler final : public wire::TSensorSiteServiceIf {
   /// Runs a method and turns an exception into a failure answer. \param what the subject of the call, for the audit log
   void answering(Response& answer, const std::string& what, const std::function<void()>& method);
 
-  const std::chrono::milliseconds outcome_limit_;
+  const std::chrono::milliseconds outcome_limit_, answer_limit_;
   const std::string log_folder_;
   Gateway& gateway_;
   discovery::Registry& registry_;

@@ -49,9 +49,8 @@ rpc::GuardedService::Options guarding(const SiteService::Options& options) {
 
 SiteService::SiteService(const Options& options, Gateway& gateway, discovery::Registry& registry,
                          const discovery::Paths& paths)
-    : service_(guarding(options), [&gateway, &registry, paths, outcome_limit = options.outcome_limit,
-                                   log_folder = options.log_folder](auto session) {
-        auto handler = std::make_shared<SiteHandler>(outcome_limit, log_folder, gateway, registry, paths, session);
+    : service_(guarding(options), [&gateway, &registry, paths, options](auto session) {
+        auto handler = std::make_shared<SiteHandler>(options, gateway, registry, paths, session);
         return std::make_shared<wire::TSensorSiteServiceProcessor>(std::move(handler));
       }) {}
 

@@ -17,6 +17,7 @@ class SiteService {
     /// Port 0: any free port, see port().
     rpc::ListenSettings listen{"127.0.0.1", 12905, {}, "", ""};
     std::chrono::milliseconds outcome_limit{15000};  ///< how long a call waits for the outcome of its order
+    std::chrono::milliseconds answer_limit{2000};    ///< how long a call waits for what a driver host is asked
     int max_connections = 64;
     int max_message_bytes = 1 << 20;
     int max_items = 10000;                        ///< the most items in one list or map

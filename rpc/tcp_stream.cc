@@ -113,11 +113,11 @@ void TcpStream::wait(short events, Clock::time_point deadline) const {
     int limit = -1;
     if (deadline != never) {
       const auto left = ceil<milliseconds>(deadline - Clock::now()).count();
-      if (left <= 0) throw TcpStreamError(Kind::timed_out, "nothing came in time");
-      limit = static_cast<int>(std::min<milliseconds::rep>(left, 3'600'000));
+      limit = static_cast<int>(std::clamp<milliseconds::rep>(left, 0, 3'600'000));
     }
     pollfd waiting{descriptor_, events, 0};
-    if (poll(&waiting, 1, limit) > 0) return;
+    if (poll(&waiting, 1, limit) > 0) return;  // also once, if this process stood still beyond the deadline
+    if (limit == 0) throw TcpStreamError(Kind::timed_out, "nothing came in time");
   }
 }
 

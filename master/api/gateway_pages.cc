@@ -19,8 +19,6 @@ namespace iotcloud::master {
 
 namespace {
 
-/// For the answers of all gateways; those whose answers are missing by then are named.
-constexpr std::chrono::seconds all_limit{15};
 constexpr std::int32_t most_changes = 10'000;
 
 const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>& gateways,
@@ -30,8 +28,9 @@ const discovery::GatewayStatus& find(const std::vector<discovery::GatewayStatus>
   return *at;
 }
 
-std::string unanswered() {
-  return fmt::format("no answer within {} s, in which others were asked, too; ask for it alone", all_limit.count());
+std::string unanswered(const GatewayAccess& access) {
+  return fmt::format("no answer within {} s, in which others were asked, too; ask for it alone",
+                     access.all_answers_limit.count() / 1000);
 }
 
 /// Bytes of what all gateways answered together; less than a client of this master reads.
@@ -116,11 +115,12 @@ std::vector<Item> ask_gateways(const Master& master, const GatewayAccess& access
   const auto gathered = std::make_shared<Gathered<Item>>(std::move(cut));
   std::vector<std::pair<discovery::GatewayId, std::future<void>>> answers;
   answers.reserve(asked.size());
-  const auto until = std::chrono::steady_clock::now() + all_limit;
+  const auto until = std::chrono::steady_clock::now() + access.all_answers_limit;
   for (const auto* gateway : asked) {
     answers.emplace_back(gateway->record.id, asks.ask([gateway = *gateway, &access, until, question, gathered] {
       const auto& id = gateway.record.id;
-      if (std::chrono::steady_clock::now() >= until) return gathered->fail(id, unanswered());  // hardly anybody waits
+      if (std::chrono::steady_clock::now() >= until)
+        return gathered->fail(id, unanswered(access));  // hardly anybody waits
       try {
         gathered->add(id, question(address_of(gateway, access), id));
       } catch (const config::Error& e) {
@@ -129,7 +129,7 @@ std::vector<Item> ask_gateways(const Master& master, const GatewayAccess& access
     }));
   }
   for (auto& [id, answer] : answers) {
-    if (answer.wait_until(until) != std::future_status::ready) silent[id] = unanswered();
+    if (answer.wait_until(until) != std::future_status::ready) silent[id] = unanswered(access);
   }
   return gathered->take(silent);
 }

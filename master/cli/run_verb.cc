@@ -25,7 +25,9 @@ class Run final : public Verb {
     add(options, "--broker", "a broker's URL in place of the embedded one", "URL");
     add(options, "--registry", "a registry's URL in place of the embedded one", "URL");
     add(options, "--seconds", "end after so many", "N");
+    add(options, "--stop-limit", "the longest time from then on until all is stopped (5)", "SECONDS");
     add(options, "--view", "where a page shows all of it: 127.0.0.1:9114; port 0: a free one", "HOST:PORT");
+    add(options, "--pages", "a folder of robots' pages for --view; again for each further one", "FOLDER");
     add(options, "--log-level", "debug, info, warn (as it is), error or off", "LEVEL");
   }
   int run(Call&) override {

@@ -200,7 +200,7 @@ void Live::look() {
   tell_all(changed);
 }
 
-std::string Live::state_of(const std::string& problem) const {
+std::string Live::state_of(const std::string& problem) {
   Json gateways = Json::array(), topologies = Json::array();
   std::set<std::string> lost;
   for (const auto& gateway : gateways_) {
@@ -229,7 +229,7 @@ std::string Live::state_of(const std::string& problem) const {
                                  {"instances", all},
                                  {"counts", counts},
                                  {"faults", std::move(faults)},
-                                 {"losses", losses()},
+                                 {"losses", tell_losses()},
                                  {"number_of_faults", number_of_faults}});
 }
 
@@ -437,8 +437,10 @@ Json Live::former(const discovery::TopologyName& topology) const {
 void Live::note_losses(const std::map<std::string, Counted>& now) {
   const auto at = clock_.now();
   const config::MutexLock lock(mutex_);
+  const bool nobody_looks = followers_.empty();
   std::erase_if(losses_, [&](const auto& loss) {
-    return !now.contains(loss.first.first) || at - loss.second.last >= options_.remind;
+    const bool is_over = (loss.second.told || nobody_looks) && at - loss.second.last >= options_.remind;
+    return is_over || !now.contains(loss.first.first);
   });
   for (const auto& [topology, counted] : now) {
     const auto before = counted_.find(topology);
@@ -452,16 +454,19 @@ void Live::note_losses(const std::map<std::string, Counted>& now) {
         auto& loss = losses_.try_emplace({topology, component}, Loss{{}, clock_.wall_ms(), at}).first->second;
         loss.counts[key] += count - former;
         loss.last = at;
+        loss.told = false;
       }
     }
   }
 }
 
-Json Live::losses() const {
+Json Live::tell_losses() {
   Json all = Json::array();
-  for (const auto& [where, loss] : losses_)
+  for (auto& [where, loss] : losses_) {
+    loss.told = true;
     all.push_back(
         {{"topology", where.first}, {"component", where.second}, {"since_ms", loss.since_ms}, {"counts", loss.counts}});
+  }
   return all;
 }
 
@@ -503,7 +508,8 @@ void Live::count_messages_on(const std::stop_token& stop) {
   Carried known;  // of each host, what it told last
   bool first = true;
   while (!stop.stop_requested()) {
-    const auto next = clock_.now() + options_.sample;
+    const auto asked = clock_.now();
+    const auto next = asked + options_.sample;
     auto now = carried_now();
     if (!now) {
       const config::MutexLock lock(mutex_);
@@ -511,9 +517,8 @@ void Live::count_messages_on(const std::stop_token& stop) {
     } else {
       if (!std::exchange(first, false)) count_messages(known, *now);
       for (auto& [host, carried] : *now) known[host] = std::move(carried);
-      std::erase_if(known, [&](const auto& entry) {
-        return clock_.now() - entry.second.at > rounds_without_answer * options_.sample;
-      });
+      std::erase_if(
+          known, [&](const auto& entry) { return asked - entry.second.at > rounds_without_answer * options_.sample; });
     }
     const config::MutexLock lock(mutex_);
     changed_.wait_for(mutex_, stop, std::max(next - clock_.now(), config::Clock::Instant::duration::zero()),

@@ -130,6 +130,7 @@ class Live {
     Counts counts;
     std::int64_t since_ms = 0;
     config::Clock::Instant last;
+    bool told = false;  ///< to whoever looks: a look can come later than what it reminds of is over
   };
   using Losses = std::map<Key, Loss>;  ///< by topology and component
   using Followers = std::list<Follower>;
@@ -137,7 +138,7 @@ class Live {
   void look_on(const std::stop_token& stop);
   void read_pages_on(const std::stop_token& stop);
   void look() IOTCLOUD_EXCLUDES(mutex_);
-  std::string state_of(const std::string& problem) const;
+  std::string state_of(const std::string& problem);
   Text beat() const;
   void send(Follower& follower, Text text) IOTCLOUD_REQUIRES(mutex_);
   void send_rows(Follower& follower, const std::vector<Key>& changed) IOTCLOUD_REQUIRES(mutex_);
@@ -154,7 +155,7 @@ class Live {
   void add_point(Series& series, const nlohmann::ordered_json& point) IOTCLOUD_REQUIRES(mutex_);
   void send_points(Follower& follower, const Series& series) IOTCLOUD_REQUIRES(mutex_);
   void note_losses(const std::map<std::string, Counted>& now) IOTCLOUD_EXCLUDES(mutex_);
-  nlohmann::ordered_json losses() const IOTCLOUD_REQUIRES(mutex_);
+  nlohmann::ordered_json tell_losses() IOTCLOUD_REQUIRES(mutex_);
 
   const Source source_;
   const Options options_;

@@ -16,8 +16,9 @@ struct GatewayAccess {
   /// Its first line is the token for gateways that speak TLS; empty: none. "{gateway}" in it stands for a gateway's id,
   /// so that each gateway is shown a token of its own.
   std::string token_file;
-  /// For a gateway's answer to a question about what it has, knows or did (gateway_pages.h).
-  std::chrono::milliseconds answer_limit{3000};
+  /// For a gateway's answer to a question about what it has, knows or did (gateway_pages.h), and for the answers of all
+  /// gateways that are asked at the same time; those whose answers are missing by then are named.
+  std::chrono::milliseconds answer_limit{3000}, all_answers_limit{15'000};
 };
 
 /// The address of the gateway's Thrift service. \throws config::Error when this master cannot call it, with the reason.

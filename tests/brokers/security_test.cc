@@ -110,8 +110,10 @@ class BrokerSecurity : public testing::TestWithParam<Secured> {
   /// The log while a broker with these options is refused: until it has these words, and long enough for more attempts.
   static std::string complaint(const BrokerOptions& options, const std::string& words) {
     const tests::CapturedLog log;
+    BrokerOptions patient = options;
+    patient.rpc_timeout = patience;  // a slow attempt would have another reason
     {
-      const auto broker = make_broker(options);
+      const auto broker = make_broker(patient);
       const auto publisher = broker->publisher(topic(), {});
       publisher->publish(text_message("x"));
       EXPECT_FALSE(publisher->drain(std::chrono::seconds(2)));
@@ -333,6 +335,7 @@ class OpenConnections : public BrokerSecurity {
   static BrokerOptions options_with_both() {
     BrokerOptions both = options();
     both.tls.revoked_file = file("both.pem");
+    both.heartbeat = std::chrono::seconds(30);  // a connection that is lost for silence is not one that was revoked
     return both;
   }
   BrokerOptions options_of_other() const {
@@ -531,7 +534,7 @@ TEST_P(KafkaRenewal, OpenConnectionsAreReplacedWithoutARestartOfTheServer) {
   ASSERT_TRUE(flows_until([&] { return times_taken() >= 2; })) << log.text();  // of the producer, and of the group
   const int before = sent;
   ASSERT_TRUE(flows_until([&] { return sent >= before + 100; }));
-  EXPECT_TRUE(inbox.bodies() == numbered(1, sent)) << "lost, twice or out of order";
+  EXPECT_TRUE(firsts(inbox) == numbered(1, sent)) << "lost or out of order";
 }
 
 TEST_P(KafkaRenewal, OpenConnectionsToAServerThatIsRevokedEnd) {

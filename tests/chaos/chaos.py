@@ -193,7 +193,9 @@ class Run:
         else:
             topics = [f"{gateway}.ledger.{instance}.{kind}" for instance, (gateway, kind) in found.items()]
         cluster.start_reader("ledger.durable", topics)
-        cluster.pause(1)
+        self.wait("the second reader reads", cluster, (cluster.books / "reading").exists, self.patience_s)
+        self.wait("the topology reads", cluster, lambda: cluster.channels_read() >= len(topics), self.patience_s)
+        cluster.pause(1)  # a reader is counted a moment before its queue is there
         return {instance: kind for instance, (_, kind) in found.items()}
 
     @staticmethod

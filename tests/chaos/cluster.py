@@ -251,6 +251,11 @@ metrics: {{address: "127.0.0.1:{self.metrics[name]}"}}"""
             lines = answer.read().decode().splitlines()
         return [(key, float(value)) for key, _, value in (line.rpartition(" ") for line in lines if not line.startswith("#"))]
 
+    def channels_read(self):
+        """How many channels the topology's workers read."""
+        pages = [self.page(worker) for worker in schedule.WORKERS]
+        return sum(value for page in pages for name, value in page if name.startswith("iotcloud_spout_channels"))
+
     # -- meanwhile
 
     def pump(self):

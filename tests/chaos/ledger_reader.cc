@@ -1,10 +1,12 @@
 // A second reader beside the topology: one client, and no workers among which messages move. It enters each delivery in
 // its instance's book, FOLDER/INSTANCE.read: a line "RUN NUMBER MARKED TIME", where MARKED is 1 if somebody may have
-// had the message before, or 0.
+// had the message before, or 0. It makes FOLDER/reading once it reads all topics.
 //
 // usage: ledger_reader FOLDER URL HEARTBEAT_MS EXCHANGE TOPIC...
+#include <algorithm>
 #include <cstdlib>
 #include <filesystem>
+#include <fstream>
 #include <iostream>
 #include <map>
 #include <memory>
@@ -66,8 +68,15 @@ int main(int count, char** words) {
       delivery.settle(Settlement::accept);
     }));
   }
-  int signal = 0;
-  sigwait(&ends, &signal);
+  // What is published before the first reader's queue is there is not for it.
+  constexpr timespec pause{0, 10'000'000};
+  int signal = -1;
+  const auto all_read = [&] {
+    return std::all_of(subscriptions.begin(), subscriptions.end(), [](const auto& one) { return one->active(); });
+  };
+  while (signal < 0 && !all_read()) signal = sigtimedwait(&ends, nullptr, &pause);
+  std::ofstream(std::string(words[1]) + "/reading");
+  if (signal < 0) sigwait(&ends, &signal);
   subscriptions.clear();
   return 0;
 }

@@ -120,7 +120,7 @@ class Daemon(unittest.TestCase):
         self.assertEqual(daemon.wait(120), 1)
 
     def test_a_second_signal_ends_at_once_what_takes_long_to_stop(self):
-        daemon = self.start("stop: hang")
+        daemon = self.start("stop: hang", options=("--stop-limit", "600"))
         daemon.send_signal(signal.SIGTERM)
         self.await_line(daemon, "stopping")
         daemon.send_signal(signal.SIGTERM)

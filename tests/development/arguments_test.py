@@ -33,7 +33,7 @@ class ArgumentsTest(unittest.TestCase):
         self.addCleanup(folder.cleanup)
         self.folder = Path(folder.name)
         shutil.copy(TREE / "dev", self.folder)
-        shutil.copytree(TREE / "development", self.folder / "development")
+        shutil.copytree(TREE / "development", self.folder / "development", ignore=shutil.ignore_patterns("__pycache__"))
         (self.folder / "development/pace.py").write_text("print(0.5)\n")  # it takes a while
         (self.folder / "build/release").mkdir(parents=True)
         (self.folder / "build/release/test_list.tsv").write_text("url_test\ttest\tunit room:brokers\turl_test\t\t\n")

@@ -18,11 +18,12 @@ using tests::Seen;
 
 class PutBack : public testing::Test {
  protected:
-  static std::unique_ptr<Registry> client(std::chrono::milliseconds timeout = std::chrono::milliseconds(50)) {
+  static std::unique_ptr<Registry> client(std::chrono::milliseconds timeout = std::chrono::milliseconds(50),
+                                          std::chrono::milliseconds operation_timeout = tests::patience) {
     RegistryOptions options;
     options.url = "embedded://put-back";
     options.session_timeout = timeout;
-    options.operation_timeout = std::chrono::milliseconds(1200);
+    options.operation_timeout = operation_timeout;
     return make_registry(options);
   }
   const std::shared_ptr<embedded::RegistryServer> server_ = embedded::RegistryServer::named("put-back");
@@ -44,7 +45,7 @@ TEST_F(PutBack, AClientOfAnEmptiedServerComesBackWithANewSession) {
 
 TEST_F(PutBack, AClientOfAnEmptiedServerIsBackAfterItsTimeOutAndSaysMeanwhileWhatItWaitsFor) {
   const std::chrono::seconds timeout(6);
-  const auto registry = client(timeout);
+  const auto registry = client(timeout, std::chrono::milliseconds(1200));
   registry->create("/kept", "data");
   server_->put_back(nullptr);
   std::set<std::string> said;

@@ -21,7 +21,7 @@ class Run:
     """`iotcloud run` of an example, which goes on until it is interrupted."""
 
     def __init__(self, example, driver, *words):
-        command = [BUILD / "bin/iotcloud", "run", EXAMPLES / example / f"{example}.yaml", "--plugin", BUILD / f"plugins/{driver}.so", *words]
+        command = [BUILD / "bin/iotcloud", "run", EXAMPLES / example / f"{example}.yaml", "--plugin", BUILD / f"plugins/{driver}.so", "--stop-limit", "60", *words]
         self.process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
     def until(self, *patterns):

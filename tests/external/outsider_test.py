@@ -8,6 +8,7 @@ usage: outsider_test.py BUILD_DIR   (exit status 0: every reading that was answe
 
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -90,10 +91,20 @@ def check_new_folders(work, prefix):
     run(prefix / "bin/iotcloud", "plugin", "check", plugins / "greenhouse_driver.so")
     for name in ("smooth", "alarms", "greenhouse"):
         run(prefix / "bin/iotcloud-topology", "--check", work / f"build/{name}/plugins/topology.yaml")
-    done = subprocess.run([prefix / "bin/iotcloud", "run", plugins / "topology.yaml", "--plugin", plugins / "greenhouse_driver.so",
-                           "--property", "period_ms=20", "--seconds", "2"], capture_output=True, text=True)
-    if done.returncode or not re.search(r"answer: took [1-9]\d*/s, emitted [1-9]", done.stdout):
-        sys.exit(f"a new project does not run: {done.stdout}{done.stderr}")
+    running = subprocess.Popen([prefix / "bin/iotcloud", "run", plugins / "topology.yaml", "--plugin", plugins / "greenhouse_driver.so",
+                                "--property", "period_ms=20", "--seconds", "120", "--stop-limit", "60"],
+                               stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    said = ""
+    for line in running.stdout:
+        said += line
+        if re.search(r"answer: took [1-9]\d*/s, emitted [1-9]", line):
+            break
+    else:
+        sys.exit(f"a new project does not run, status {running.wait()}: {said}")
+    running.send_signal(signal.SIGINT)
+    rest, _ = running.communicate()
+    if running.returncode:
+        sys.exit(f"a new project does not stop, status {running.returncode}: {said}{rest}")
     again = subprocess.run([prefix / "bin/iotcloud", "new", "bolt", "smooth", "--folder", work / "smooth"], capture_output=True, text=True)
     if again.returncode != 1 or "is there already, and not empty: nothing was written" not in again.stderr:
         sys.exit(f"a folder that is there is written again: {again}")

@@ -27,9 +27,9 @@ from private_cluster import PrivateCluster  # noqa: E402
 ROOT = HERE.parents[1]
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 FILE = re.compile(r"^`([\w.]+)`:\s*\Z", re.MULTILINE)
-# What no page shows: the shell's words when a job ended, and what an order waits for, which the command line tells when the
-# order takes long.
-NOTICE = re.compile(r"bash: line \d+: +\d+ |\[\d+\][ +-]|iotcloud: waits: ")
+# What no page shows: the shell's words when a job ended, and what an order or a start waits for, which the command line tells
+# when it takes long.
+NOTICE = re.compile(r"bash: line \d+: +\d+ |\[\d+\][ +-]|iotcloud: waits: |iotcloud-run: it waits for ")
 LIMIT_S = 600  # of one command: it may build beside other builds and tests
 # What the pages run in the project's folder. Here the programs are installed by CMake and private servers run; the demo and the
 # packages have tests of their own.

@@ -434,6 +434,7 @@ TEST_F(DaemonTest, WhatAGatewayWasAboutToDoWhenItWasKilledStandsInItsAuditLog) {
   start_daemon();
   ASSERT_TRUE(eventually([&] { return alive_session() != 0; }));
   const auto session = alive_session();
+  ASSERT_TRUE(eventually([&] { return registry_->get(paths_.orders("gw"_gateway)).has_value(); })) << "it takes orders";
 
   zookeeper_.command("pause", "PAUSED");  // the order's effect is a node there
   auto answer = std::async(std::launch::async, [&] { return deploy_at(port); });

@@ -40,6 +40,7 @@ class SiteServiceTest : public GatewayFixture {
     SiteService::Options options;
     options.listen.port = 0;
     options.max_message_bytes = 10000;
+    options.answer_limit = tests::patience;
     service_.emplace(options, *gateway_, *registry_, paths_);
     connect();
   }
@@ -415,6 +416,7 @@ TEST_F(SiteServiceTest, WithTlsAndTokensAViewerReadsAndDeploysNothing) {
   rpc::ThriftClientOptions asking;
   asking.host = "127.0.0.1";
   asking.port = guarded.port();
+  asking.connect_limit = tests::patience;
   EXPECT_THROW(
       {
         wire::TPing ping;
@@ -490,6 +492,7 @@ TEST_F(SiteServiceTest, AMastersTokenReadsAndSendsPluginsAndOrdersNothing) {
     rpc::ThriftClientOptions asking;
     asking.host = "localhost";
     asking.port = guarded.port();
+    asking.connect_limit = tests::patience;
     asking.tls = certificates.of(certificate);
     client_.emplace(rpc::ThriftClient(asking).protocol());
     TResponse answer;

@@ -14,6 +14,9 @@ import re
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
+from project_files import project_files  # noqa: E402
+
 # Where the time of day itself is meant, and why.
 TIME_OF_DAY = {
     "config/clock.cc": "config::Clock::wall_ms() for all others",
@@ -125,9 +128,9 @@ def check_python(file, text):
 
 def check(root):
     problems = []
-    for path in sorted(root.rglob("*")):
+    for path in project_files(root):
         file = path.relative_to(root).as_posix()
-        if path.suffix in (".h", ".cc") and path.is_file() and not file.startswith(("build/", ".")) and "/build/" not in file:
+        if path.suffix in (".h", ".cc"):
             problems += check_source(file, path.read_text())
         elif path.suffix == ".py" and file.startswith("tests/") and not file.startswith("tests/house/check_clocks"):
             problems += check_python(file, path.read_text())

@@ -12,7 +12,9 @@ import subprocess
 import sys
 from pathlib import Path
 
-import check_includes
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
+import check_includes  # noqa: E402
+from project_files import project_files  # noqa: E402
 
 LINK = re.compile(r"\[[^\]]*\]\(([^)#\s]*)(?:#([^)\s]*))?\)")
 COMMAND = re.compile(r"\./dev ((?:bench |cluster )?[a-z]+)")
@@ -68,13 +70,8 @@ def sections(file):
     return found
 
 
-def inside(root, file):
-    """Whether the file is the project's, and not of a build or a hidden folder."""
-    return not any(part == "build" or part.startswith(".") for part in file.relative_to(root).parts[:-1])
-
-
 def problems(root, files, known):
-    sources = "".join(path.read_text() for path in root.rglob("*.cc") if inside(root, path))
+    sources = "".join(path.read_text() for path in project_files(root) if path.suffix == ".cc")
     for file in files:
         for number, line in enumerate(file.read_text().splitlines(), 1):
             place = f"{file.relative_to(root)}:{number}"
@@ -168,7 +165,7 @@ def named_test_problems(root, file):
     `in_lower_case_words`. Every cell of its table names one, or says that it is only said."""
     if not file.exists():
         return
-    sources = "\n".join(path.read_text() for path in sorted((root / "tests").rglob("*"))
+    sources = "\n".join(path.read_text() for path in project_files(root / "tests")
                         if path.suffix == ".cc" or path.name == "CMakeLists.txt")
     place, text = file.relative_to(root), file.read_text()
     for suite, name, open_end in TEST.findall(text):
@@ -187,7 +184,7 @@ def named_test_problems(root, file):
 
 def main():
     root = Path(sys.argv[1]).resolve()
-    files = [path for path in sorted(root.rglob("*")) if path.is_file() and inside(root, path)]
+    files = project_files(root)
     documents = [path for path in files if path.suffix == ".md"]
     own_test = "check_documents_test.py"  # it cites what is not there
     sources = [path for path in files if (path.suffix in SOURCES or path.name == "dev") and path.name != own_test]

@@ -10,6 +10,9 @@ import re
 import sys
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "development"))
+from project_files import project_files  # noqa: E402
+
 # Room: the rooms that it may use, besides itself.
 ROOMS = {
     "config": [],
@@ -252,8 +255,7 @@ def check_targets(root, files):
 
 
 def check(root):
-    files = [path.relative_to(root).as_posix() for path in sorted(root.rglob("*")) if path.is_file()]
-    files = [file for file in files if not file.startswith(("build/", ".")) and "/build/" not in file]
+    files = [path.relative_to(root).as_posix() for path in project_files(root)]
     sources = [file for file in files if file.endswith((".h", ".cc"))]
     problems = [problem for file in sources for problem in check_source(root, file)]
     problems += check_folders(root, sources)

@@ -47,15 +47,16 @@ class TalkativeSite final : public gateway::wire::TSensorSiteServiceNull {
 class GatewayPages : public testing::Test {
  protected:
   GatewayPages() {
-    access_.answer_limit = tests::patience;  // a busy machine writes megabytes slowly
+    access_.answer_limit = access_.all_answers_limit = tests::patience;  // a busy machine writes megabytes slowly
     EXPECT_TRUE(master_.leads());
   }
   void serve(const std::string& id, std::size_t changes, std::size_t reason) {
     gateways_.push_back(std::make_unique<FakeGateway>(url_, id));
+    rpc::ThriftServerOptions options;
+    options.message_limit = tests::patience;
     services_.push_back(std::make_unique<rpc::ThriftServer>(
-        rpc::ThriftServerOptions{},
-        [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(
-             std::make_shared<TalkativeSite>(id, changes, reason))](const auto&) { return p; }));
+        options, [p = std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(
+                      std::make_shared<TalkativeSite>(id, changes, reason))](const auto&) { return p; }));
     const std::string path = discovery::Paths().gateway(discovery::GatewayId(id));
     auto record = discovery::decode_gateway(master_.registry().get(path)->data, id);
     record.host = "127.0.0.1";

@@ -52,8 +52,8 @@ TEST(ProcessWatchTest, HearsAProcessThatSaysMuchBeforeItReadsWhatItIsTold) {
                            folder / "talker.log"),
                      true),
         {[&](const std::string& body) {
-           heard_all = body == "heard all";
            ++heard;
+           heard_all = body == "heard all";
          },
          [] {},
          [&](const WatchedEnd& how) {

@@ -53,6 +53,14 @@ def wait_for(what, condition, limit=120):
     sys.exit(f"not within {limit} s: {what}{problem}")
 
 
+def answer_of(what, question):
+    """The answer to a question that is asked again where wait_for() asks again: gateways and driver hosts that a busy machine
+    lets answer too late have not answered."""
+    answers = []
+    wait_for(what, lambda: answers.append(question()) or True)
+    return answers[0]
+
+
 def children_of(process):
     """Ids of the children of a process."""
     found = []

@@ -17,7 +17,7 @@ from pathlib import Path
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "servers"))
 
-from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
+from private_cluster import PrivateCluster, StartError, answer_of, require, wait_for  # noqa: E402
 from private_server import freeze  # noqa: E402
 
 
@@ -45,17 +45,17 @@ def check_crash(fleet, instance):
     host, = fleet.hosts_of("gateway-1")
     os.kill(host, signal.SIGSEGV)
     wait_for("the instance is active again", lambda: "again, after" in fleet.json("drivers", instance)[0]["reason"])
-    described = fleet.json("describe", instance[:8])
+    described = answer_of("it is described", lambda: fleet.json("describe", instance[:8]))
     require(described["instance"] == instance and described["state"] == "active", described)
     reasons = [change["reason"] for change in described["history"]]
     require(any("crashed" in reason and "signal 11" in reason for reason in reasons), reasons)
-    table = fleet.cli("describe", instance)
+    table = answer_of("it is described", lambda: fleet.cli("describe", instance))
     require("crashed" in table and "guest:***@" in table and "guest:guest" not in table, table)
 
 
 def check_logs(fleet, instance):
     """`logs --follow` prints new lines; Ctrl-C ends it in order."""
-    require(instance in fleet.cli("logs", instance), "the log does not name the instance")
+    require(instance in answer_of("the log is shown", lambda: fleet.cli("logs", instance)), "the log does not name the instance")
     follower = subprocess.Popen(fleet.command("logs", instance, "--follow", "--lines", 1), stdout=subprocess.PIPE, text=True)
     require("active" in follower.stdout.readline(), "the last line is not that it became active")
     fleet.cli("stop", instance)
@@ -68,12 +68,14 @@ def check_logs(fleet, instance):
 
 def check_channels(fleet, instance):
     """A channel is looked at, a message is handed to the driver by hand, and Ctrl-C ends a look in order."""
-    seen = [json.loads(line) for line in fleet.cli("channel", "echo", instance, "data", "-n", 3, "-o", "json").splitlines()]
+    echo = answer_of("three messages are shown", lambda: fleet.cli("channel", "echo", instance, "data", "-n", 3, "-o", "json"))
+    seen = [json.loads(line) for line in echo.splitlines()]
     require([one["number"] for one in seen] == [1, 2, 3] and all(one["size"] > 0 for one in seen), seen)
     # On a busy machine a driver pauses and then catches up, so not every two seconds show its rate.
     wait_for("5 messages a second are measured", lambda: 1 < json.loads(
         fleet.cli("channel", "hz", instance, "data", "--once", "--every", 2, "-o", "json"))["messages_per_s"] < 25)
-    channels = {one["channel"]: one for one in fleet.json("channel", "list", instance)}
+    listed = answer_of("the channels are listed", lambda: fleet.json("channel", "list", instance))
+    channels = {one["channel"]: one for one in listed}
     require(set(channels) == {"data", "echo"} and channels["data"]["broker_state"] == "connected", channels)
     look = subprocess.Popen(fleet.command("channel", "echo", instance, "echo"), stdout=subprocess.PIPE, text=True)
     wait_for("the message by hand is shown", lambda: fleet.cli("channel", "publish", instance, "echo", "by hand")

@@ -38,10 +38,10 @@ bolts:
 class Run:
     """A run whose lines, errors too, are read as they come."""
 
-    def __init__(self, *words, plugin="plugins/loadgen.so"):
+    def __init__(self, *words, plugin="plugins/loadgen.so", stop_limit="60"):
         self.began = time.monotonic()
         self.said = ""
-        self.process = subprocess.Popen([BUILD / "bin/iotcloud", "run", *words, "--plugin", BUILD / plugin],
+        self.process = subprocess.Popen([BUILD / "bin/iotcloud", "run", *words, "--stop-limit", stop_limit, "--plugin", BUILD / plugin],
                                         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
     def wait_for(self, pattern):
@@ -117,10 +117,10 @@ def the_page_has_the_log_the_way_of_messages_and_what_is_read():
 
     def came_back():
         page = view.call("worker", target=f"/trace?id=a&driver={row['instance']}&every_ms=100", **of_worker)
-        trace.update({way["time_ms"]: (page["clock"], way) for way in page["ways"]})
+        trace.update({way["time_ms"]: (page["clock"], way) for way in page["ways"] if way["outcome"]})
         for channel, to in (("data", sent), ("echo", back)):
             look = view.call("look", channel=channel, look="a", most=64, bytes=0, every_ms=100, **of_instance)
-            to.update({message["time_ms"]: (look["clock"], message) for message in look["messages"]})
+            to.update({message["time_ms"]: (look["clock"], message) for message in look["messages"] if message.get("end_us")})
         return set(trace) & set(sent) & set(back)
 
     wait_for("a message is followed there and back", came_back)
@@ -254,7 +254,7 @@ def a_driver_that_no_plugin_is_is_named():
 
 
 def a_start_that_waits_for_a_driver_ends_with_a_signal():
-    hanging = Run(CONFIG / "topology.yaml", plugin="tests/system/hanging_driver.so")
+    hanging = Run(CONFIG / "topology.yaml", plugin="tests/system/hanging_driver.so", stop_limit="10")
     hanging.wait_for("the driver hangs")
     hanging.wait_for("it waits for the registry, and then until all drivers are open")
     hanging.end()

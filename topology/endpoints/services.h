@@ -4,6 +4,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -51,8 +52,9 @@ struct EndpointServices {
   /// By spout: what its channels must agree with (worker/meeting_spouts.h). Without an entry: with nothing, as where an
   /// engine takes tuples to other workers.
   std::map<std::string, std::shared_ptr<PartitionAgreement>> agreements;
-  std::vector<std::function<void()>> before_stop;  ///< the worker calls these before it stops the topology
-  std::vector<std::function<void()>> after_stop;   ///< the worker calls these when it has left the registry
+  std::optional<std::chrono::milliseconds> longest_drain;  ///< of what a reader that moves has in hand; nullopt: 2 s
+  std::vector<std::function<void()>> before_stop;          ///< the worker calls these before it stops the topology
+  std::vector<std::function<void()>> after_stop;           ///< the worker calls these when it has left the registry
 };
 using EndpointServicesPtr = std::shared_ptr<EndpointServices>;
 

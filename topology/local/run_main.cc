@@ -1,4 +1,6 @@
 // iotcloud-run: a topology and its drivers in one process; `iotcloud run` starts it.
+#include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -6,6 +8,8 @@
 #include <memory>
 #include <optional>
 #include <stop_token>
+#include <string>
+#include <vector>
 
 #include <CLI/CLI.hpp>
 #include <signal.h>
@@ -21,7 +25,14 @@ namespace {
 
 using namespace iotcloud;
 
-constexpr std::chrono::milliseconds stop_limit{5000};
+/// How a run is shown and ends.
+struct Wanted {
+  int seconds = 0;                 ///< after which it ends; 0: at a signal only
+  std::string view;                ///< where the console is served; empty: nowhere
+  std::vector<std::string> pages;  ///< folders of robots' pages for it
+  double stop_limit_s = 5;
+  std::chrono::milliseconds stop_limit() const { return std::chrono::milliseconds(std::llround(stop_limit_s * 1000)); }
+};
 
 void print(const std::vector<std::string>& lines) {
   for (const auto& line : lines) std::printf("%s\n", line.c_str());
@@ -46,7 +57,8 @@ constexpr int file_changed = -1;
 
 /// Starts on another thread, so that a signal also ends a start that waits (for a driver that hangs in open(), say).
 /// \return nullptr: a signal has ended it.
-std::unique_ptr<local::LocalRun> start(const local::RunOptions& options, const sigset_t& ending) {
+std::unique_ptr<local::LocalRun> start(const local::RunOptions& options, std::chrono::milliseconds stop_limit,
+                                       const sigset_t& ending) {
   constexpr timespec moment{0, 20'000'000};
   std::stop_source end;
   auto started =
@@ -76,18 +88,16 @@ std::unique_ptr<local::LocalRun> start(const local::RunOptions& options, const s
   return started.get();
 }
 
-/// \param view where the console is served; empty: nowhere. \param pages folders of robots' pages for it
-int run(const local::RunOptions& options, int seconds, const std::string& view, const std::vector<std::string>& pages,
-        const sigset_t& ending, local::WatchedFiles& files) {
+int run(const local::RunOptions& options, const Wanted& wanted, const sigset_t& ending, local::WatchedFiles& files) {
   std::optional<local::RecentLines> lines;
-  if (!view.empty()) lines.emplace();  // before the start, which the page's log is to tell, too
-  const auto started = start(options, ending);
+  if (!wanted.view.empty()) lines.emplace();  // before the start, which the page's log is to tell, too
+  const auto started = start(options, wanted.stop_limit(), ending);
   if (!started) return 0;
   local::LocalRun& running = *started;
   std::printf("%s runs; Ctrl-C ends it\n", options.topology.c_str());
   std::unique_ptr<local::LocalConsole> console;
-  if (!view.empty()) {
-    console = std::make_unique<local::LocalConsole>(running.cluster(), view, pages);
+  if (!wanted.view.empty()) {
+    console = std::make_unique<local::LocalConsole>(running.cluster(), wanted.view, wanted.pages);
     std::printf("console: %s\n", console->url().c_str());
   }
   std::fflush(stdout);
@@ -95,14 +105,13 @@ int run(const local::RunOptions& options, int seconds, const std::string& view, 
   std::string changed;
   for (int passed = 1; changed.empty() && sigtimedwait(&ending, nullptr, &second) < 0; ++passed) {
     print(running.news());
-    if (passed == seconds) break;
+    if (passed == wanted.seconds) break;
     changed = files.changed();
   }
   if (!changed.empty()) print({changed + " changed: all starts anew"});
   console.reset();
-  if (!running.stop(stop_limit)) {
-    std::fprintf(stderr, "iotcloud-run: not everything stopped within %d s\n",
-                 static_cast<int>(stop_limit.count() / 1000));
+  if (!running.stop(wanted.stop_limit())) {
+    std::fprintf(stderr, "iotcloud-run: not everything stopped within %g s (--stop-limit)\n", wanted.stop_limit_s);
     if (changed.empty()) return 1;
   }
   return changed.empty() ? 0 : file_changed;
@@ -142,9 +151,9 @@ std::vector<std::string> page_folders() {
 int main(int argc, char** argv) {
   signal(SIGPIPE, SIG_IGN);
   local::RunOptions options;
-  int seconds = 0;
-  std::vector<std::string> properties, pages;
-  std::string log_level = "warn", view;
+  Wanted wanted;
+  std::vector<std::string> properties;
+  std::string log_level = "warn";
   CLI::App app{"Runs a topology and drivers in one process, without a server.", "iotcloud-run"};
   app.add_option("FILE", options.topology, "the topology's YAML file")->required()->check(CLI::ExistingFile);
   app.add_option("--plugin", options.plugins, "a driver's plugin; again for each further one, all in one folder")
@@ -158,17 +167,21 @@ int main(int argc, char** argv) {
       "--registry", options.registry_url,
       "a registry's URL in place of the embedded one; all is below a path of the run's own there, which is removed "
       "at the end: no fleet is touched");
-  app.add_option("--seconds", seconds, "end after so many; 0: with Ctrl-C");
-  app.add_option("--view", view,
+  app.add_option("--seconds", wanted.seconds, "end after so many; 0: with Ctrl-C");
+  app.add_option("--stop-limit", wanted.stop_limit_s,
+                 "the longest time in seconds from then on until all is stopped; the exit status is 1 if it is not")
+      ->check(CLI::Range(0.1, 3600.0))
+      ->capture_default_str();
+  app.add_option("--view", wanted.view,
                  "HOST:PORT of loopback, where a page shows all of it: 127.0.0.1:9114; port 0: a free one");
-  app.add_option("--pages", pages, "a folder of robots' pages for --view; again for each further one")
+  app.add_option("--pages", wanted.pages, "a folder of robots' pages for --view; again for each further one")
       ->check(CLI::ExistingDirectory)
       ->allow_extra_args(false);
   app.add_option("--log-level", log_level, "debug, info, warn, error or off");
   CLI11_PARSE(app, argc, argv);
   try {
     options.library_folders = library_folders();
-    for (auto& folder : page_folders()) pages.push_back(std::move(folder));
+    for (auto& folder : page_folders()) wanted.pages.push_back(std::move(folder));
     config::set_log_level(config::parse_log_level(log_level));
     for (const auto& word : properties) {
       const auto equals = word.find('=');
@@ -184,7 +197,7 @@ int main(int argc, char** argv) {
   local::WatchedFiles files(local::files_of(options));
   int status = 2;
   try {
-    status = run(options, seconds, view, pages, ending, files);
+    status = run(options, wanted, ending, files);
   } catch (const std::exception& error) {
     std::fprintf(stderr, "iotcloud-run: %s\n", error.what());
     if (getenv(again_variable) != nullptr) status = wait_for_change(ending, files);

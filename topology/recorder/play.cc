@@ -266,15 +266,43 @@ void add_sent_channels(const topology::TopologyDefinition& definition,
   }
 }
 
+/// A spout, and which channels of a recording it reads when they are played to it.
+struct PlayedInput {
+  PlayedInput(const topology::ComponentDefinition& spout, const recording::RecordingReader& recording,
+              const std::string& gateway)
+      : id(spout.id) {
+    discovery::DriverRecord instance;
+    instance.gateway = discovery::GatewayId(gateway);
+    instance.state = discovery::DriverState::active;
+    for (const auto& channel : recording.channels()) {
+      instance.name = discovery::DriverName(channel.driver);
+      instance.metadata = channel.metadata;
+      reads.push_back(channel.driver == spout.endpoint->driver.str() && channel.name == spout.endpoint->channel &&
+                      spout.endpoint->where.matches(instance));
+    }
+  }
+  std::string id;
+  std::vector<bool> reads;
+  std::uint64_t played = 0;  ///< messages for it
+};
+
 /// Waits until the topology has processed all that came, as far as one sees from outside: nothing is under way, and
-/// nothing changes. \return what it has done.
-topology::Snapshot wait_until_idle(topology::Worker& worker, const std::stop_token& stop) {
-  constexpr int quiet_looks = 10;
+/// nothing changes; for longer while a spout lacks messages, which a busy machine brings late and a spout may also have
+/// left out. \return what it has done.
+topology::Snapshot wait_until_idle(topology::Worker& worker, const std::vector<PlayedInput>& inputs,
+                                   const std::stop_token& stop) {
+  constexpr int quiet_looks = 10, quiet_looks_while_some_lack = 200;
   config::Mutex mutex;
   config::StoppableConditionVariable end;
   std::uint64_t before = 0;
   auto snapshot = worker.snapshot();
-  for (int quiet = 0; quiet < quiet_looks && !stop.stop_requested();) {
+  const auto looks = [&] {
+    const bool all_came = std::all_of(inputs.begin(), inputs.end(), [&](const PlayedInput& input) {
+      return snapshot.component(input.id).emitted >= input.played;
+    });
+    return all_came ? quiet_looks : quiet_looks_while_some_lack;
+  };
+  for (int quiet = 0; quiet < looks() && !stop.stop_requested();) {
     std::uint64_t done = 0;
     std::size_t under_way = 0;
     for (const auto& task : snapshot.tasks) {
@@ -320,6 +348,10 @@ PlayResult play_to_topology(const std::string& yaml_file, const std::vector<std:
   }
   add_sent_channels(definition, world_options.fakes);
 
+  std::vector<PlayedInput> inputs;
+  for (const auto& spout : definition.spouts) {
+    if (spout.endpoint) inputs.emplace_back(spout, recording, world_options.gateways.front());
+  }
   topology::testing::World world(std::move(world_options));
   auto& worker = world.cluster().run_topology(std::move(definition));
   std::map<std::pair<std::string, std::string>, FakeInstance*> instances;
@@ -342,11 +374,12 @@ PlayResult play_to_topology(const std::string& yaml_file, const std::vector<std:
         if (options.times_now) recorded.message.time_ms = config::system_clock().wall_ms();
         recorded.message.driver_id.clear();
         recorded.message.gateway_id.clear();
+        for (auto& input : inputs) input.played += input.reads[recorded.channel] ? 1 : 0;
         instance_of[recorded.channel]->publish(recording.channels()[recorded.channel].name,
                                                std::move(recorded.message));
       },
       stop);
-  const auto snapshot = wait_until_idle(worker, stop);
+  const auto snapshot = wait_until_idle(worker, inputs, stop);
   result.confirmed = result.played.messages;
   std::set<std::string> told;
   for (const auto& task : snapshot.tasks) {

@@ -71,6 +71,7 @@ struct Worker::Impl {
     const TopologyDefinition& definition = options.definition;
     load_libraries(definition, options.library_folders, options.components, options.libraries);
     if (options.fence) services->fence = options.fence;
+    services->longest_drain = options.longest_drain;
     watch.emplace(links_of(services->brokers), *services->clock, *services->metrics,
                   config::Labels{{"topology", services->topology.str()}});
     std::map<std::string, std::string> certificates;

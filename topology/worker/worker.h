@@ -4,6 +4,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -44,6 +45,9 @@ struct WorkerOptions {
   /// The owner must call its beat(). Null: the worker makes one from its brokers' heartbeats and the system's clock,
   /// and calls beat() itself.
   std::shared_ptr<StandstillFence> fence = {};
+  /// How long a spout's reader that moves to another task or worker waits until what it has in hand is settled; the
+  /// broker delivers the rest again. nullopt: 2 s.
+  std::optional<std::chrono::milliseconds> longest_drain = {};
 };
 
 /// A process that runs a topology: reads from and sends to brokers, runs the graph, shares the channels with other

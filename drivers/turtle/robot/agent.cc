@@ -54,6 +54,7 @@ void Agent::connect() {
   session.token = options_.token;
   session.name = options_.name;
   session.silence = options_.silence;
+  session.handshake = options_.handshake;
   const auto on_open = [this] {
     ++counts_.connects;
     told_lost_ = false;

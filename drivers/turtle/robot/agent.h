@@ -21,6 +21,7 @@ struct AgentOptions {
   std::string token;   ///< the driver's token
   std::string name;    ///< appears in the driver's log
   std::chrono::milliseconds silence{250};
+  std::chrono::milliseconds handshake{3'000};  ///< for connecting and the driver's proof
   /// Wait before the first new attempt; doubles with each. The agent waits a random time between half of it and all.
   std::chrono::milliseconds reconnect{100};
   std::chrono::milliseconds longest_wait{5'000};  ///< the longest wait before a new attempt

@@ -21,7 +21,6 @@ using std::chrono::milliseconds;
 
 namespace {
 
-constexpr std::chrono::seconds handshake_limit{3};
 constexpr milliseconds least_silence{20}, most_silence{60'000};
 constexpr int ticks_of_silence = 4;
 
@@ -40,9 +39,10 @@ struct Session::State : std::enable_shared_from_this<State> {
         nonce(random_nonce()) {}
 
   void begin() {
-    deadline.expires_after(handshake_limit);
+    deadline.expires_after(options.handshake);
     deadline.async_wait([self = shared_from_this()](const error_code& error) {
-      if (!error) self->end("it did not answer");
+      // It may have answered while this call was waiting for its turn.
+      if (!error && !self->open) self->end("it did not answer");
     });
     resolver.async_resolve(
         options.host, options.port,

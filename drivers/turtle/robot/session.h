@@ -14,6 +14,7 @@ namespace iotcloud::drivers::turtle::robot {
 struct SessionOptions {
   std::string host, port, token, name;
   std::chrono::milliseconds silence{250};
+  std::chrono::milliseconds handshake{3'000};  ///< for connecting and the driver's proof
 };
 
 /// The agent's end of one connection, from the look-up of the driver's address to the end: hand-shake, heartbeats,

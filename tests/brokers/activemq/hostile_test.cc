@@ -111,7 +111,7 @@ TEST_F(ActiveMqHostile, AStreamThatIsCorruptEndsTheConnectionAndNothingIsLost) {
 }
 
 TEST_F(ActiveMqHostile, AServerThatIsHeardIsWaitedForWhenItAnswersARequestToReadLateAndASilentOneIsLeft) {
-  constexpr std::chrono::seconds rpc_timeout{2};
+  constexpr std::chrono::seconds rpc_timeout{8};
   BrokerOptions options;
   options.urls = {"activemq://127.0.0.1:" + std::to_string(proxy_.port())};
   options.rpc_timeout = rpc_timeout;
@@ -131,7 +131,7 @@ TEST_F(ActiveMqHostile, AServerThatIsHeardIsWaitedForWhenItAnswersARequestToRead
     proxy_.inject(heartbeat);
     return proxy_.connections() > connections || !early->active();
   };
-  EXPECT_FALSE(eventually(ends_while_heard, 2 * rpc_timeout));
+  EXPECT_FALSE(eventually(ends_while_heard, rpc_timeout + std::chrono::seconds(2)));
   EXPECT_FALSE(late->active());
 
   EXPECT_TRUE(eventually([&] { return proxy_.connections() > connections; })) << "it is silent now";

@@ -28,6 +28,7 @@ class ActiveMqServer : public testing::Test {
   static std::unique_ptr<Broker> broker(std::vector<std::string> urls = {server_->url()}) {
     BrokerOptions options;
     options.urls = std::move(urls);
+    options.rpc_timeout = patience;
     return make_broker(options);
   }
   static Topic topic(bool durable = false) {

@@ -61,6 +61,7 @@ TEST_P(BrokerContract, DurableMessagesThatNobodyHasReadSurviveTheServersDeath) {
   SubscriptionOptions options;
   options.group = "readers";
   Inbox none;
+  Inbox inbox;
   auto subscription = broker->subscribe(topic, options, none.handler());
   await_active(*subscription);
   subscription.reset();
@@ -68,7 +69,6 @@ TEST_P(BrokerContract, DurableMessagesThatNobodyHasReadSurviveTheServersDeath) {
   for (int i = 1; i <= 50; ++i) publisher->publish(text_message(std::to_string(i)));
   ASSERT_TRUE(publisher->drain(patience));
   { const Outage outage(server()); }
-  Inbox inbox;
   subscription = broker->subscribe(topic, options, inbox.handler());
   ASSERT_TRUE(inbox.wait_for_last("50"));
   EXPECT_EQ(firsts(inbox), numbered(1, 50));

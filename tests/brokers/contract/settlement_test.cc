@@ -21,12 +21,12 @@ TEST_P(BrokerContract, AnAcceptedMessageIsNotDeliveredAgain) {
   const auto broker = this->broker();
   const Topic topic = this->topic();
   Inbox first;
+  Inbox second;
   auto subscription = broker->subscribe(topic, {}, first.handler());
   const auto publisher = broker->publisher(topic, {});
   for (const auto& body : numbered(1, 10)) publisher->publish(text_message(body));
   ASSERT_TRUE(first.wait_for(10));
   subscription.reset();
-  Inbox second;
   subscription = broker->subscribe(topic, {}, second.handler());
   publisher->publish(text_message("11"));
   ASSERT_TRUE(second.wait_for(1));

@@ -1,5 +1,6 @@
 // Faults that only librdkafka's mock cluster makes on demand.
 #include <atomic>
+#include <chrono>
 #include <memory>
 #include <set>
 #include <string>
@@ -12,6 +13,7 @@
 #include <librdkafka/rdkafka_mock.h>
 
 #include "iotcloud/tests/brokers/contract_fixture.h"
+#include <iotcloud/brokers/kafka/first_messages.h>
 #include <iotcloud/config/clock.h>
 
 namespace iotcloud::brokers {
@@ -157,25 +159,35 @@ std::vector<std::string> arrivals(const Inbox& inbox, const std::string& driver)
 
 TEST_F(KafkaFault, ThatStrikesAProducersFirstMessageInAPartitionLosesNothingAndKeepsTheOrder) {
   constexpr int partitions = 2;
-  rd_kafka_mock_topic_create(cluster(), "topic", partitions, nodes);
+  std::vector<std::string> arrived;
   const auto partition_of = [](const std::string& driver) {
     return rd_kafka_msg_partitioner_murmur2(nullptr, driver.data(), driver.size(), partitions, nullptr, nullptr);
   };
-  const auto broker = this->broker();
-  Inbox inbox;
-  const auto subscription = broker->subscribe(topic(), {}, inbox.handler());
-  const auto publisher = broker->publisher(topic(), {});
   const Message before = text_message("0");
-  publisher->publish(before);
-  ASSERT_TRUE(publisher->drain(patience));
   std::string driver = "d";
   while (partition_of(driver) == partition_of(before.driver_id)) driver += "d";
-  set_round_trip(100);
-  fail_next(produce_request, {RD_KAFKA_RESP_ERR_NOT_LEADER_FOR_PARTITION});
-  publish_two(*publisher, driver);
-  ASSERT_TRUE(publisher->drain(patience));
-  ASSERT_TRUE(inbox.wait_for(3));
-  EXPECT_THAT(arrivals(inbox, driver), testing::ElementsAre("1", "2"));
+  // On a busy machine the first message's answer may come when the second one is no longer held back: then once more.
+  std::chrono::steady_clock::duration took{};
+  int attempt = 0;
+  do {
+    ASSERT_LT(++attempt, 20);
+    set_round_trip(0);
+    const Topic topic{"", "topic" + std::to_string(attempt), false};
+    rd_kafka_mock_topic_create(cluster(), topic.name.c_str(), partitions, nodes);
+    const auto broker = this->broker(std::chrono::seconds(8));
+    Traffic traffic(*broker, topic);
+    traffic.publisher->publish(before);
+    ASSERT_TRUE(traffic.publisher->drain(patience));
+    set_round_trip(100);
+    fail_next(produce_request, {RD_KAFKA_RESP_ERR_NOT_LEADER_FOR_PARTITION});
+    const auto begun = std::chrono::steady_clock::now();
+    publish_two(*traffic.publisher, driver);
+    ASSERT_TRUE(traffic.publisher->drain(patience));
+    took = std::chrono::steady_clock::now() - begun;
+    ASSERT_TRUE(traffic.inbox.wait_for(3));
+    arrived = arrivals(traffic.inbox, driver);
+  } while (took >= kafka::FirstMessages::longest_wait);
+  EXPECT_THAT(arrived, testing::ElementsAre("1", "2"));
 }
 
 TEST_F(KafkaFault, WhatTheLibraryOnlyTakesForStoredIsSentAgainAndMarked) {
@@ -354,6 +366,7 @@ TEST_F(KafkaFault, WhatIsInHandIsNotTakenBackWhileServersAreSlowToAnswer) {
 TEST_F(KafkaFault, ACommitThatFailsIsTriedAgain) {
   const auto broker = this->broker();
   Inbox first;
+  Inbox second;
   auto subscription = broker->subscribe(topic(), {}, first.handler());
   ASSERT_TRUE(eventually([&] { return subscription->active(); }, patience));
   const auto publisher = broker->publisher(topic(), {});
@@ -361,7 +374,6 @@ TEST_F(KafkaFault, ACommitThatFailsIsTriedAgain) {
   for (const auto& body : numbered(1, 5)) publisher->publish(text_message(body));
   ASSERT_TRUE(first.wait_for(5));
   subscription.reset();
-  Inbox second;
   subscription = broker->subscribe(topic(), {}, second.handler());
   ASSERT_TRUE(eventually([&] { return subscription->active(); }, patience));
   publisher->publish(text_message("6"));

@@ -393,6 +393,7 @@ TEST_F(KafkaGroup, APartitionGoesToAnotherMemberOnlyWhenItsHandlerIsDoneAndThatI
 TEST_F(KafkaGroup, AfterAnOrderlyEndNothingIsDoubted) {
   auto broker = this->broker();
   Inbox first;
+  Inbox second;
   auto subscription = broker->subscribe(topic(), readers(), first.handler());
   const auto sender = this->broker();
   const auto publisher = sender->publisher(topic(), {});
@@ -402,7 +403,6 @@ TEST_F(KafkaGroup, AfterAnOrderlyEndNothingIsDoubted) {
   broker.reset();
   for (const auto& body : numbered(11, 20)) publisher->publish(text_message(body));
   ASSERT_TRUE(publisher->drain(patience));
-  Inbox second;
   broker = this->broker();
   subscription = broker->subscribe(topic(), readers(), second.handler());
   ASSERT_TRUE(second.wait_for(10));

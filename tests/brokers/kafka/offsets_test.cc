@@ -25,7 +25,7 @@ class KafkaOffsets : public testing::Test {
   std::unique_ptr<Broker> broker() const {
     BrokerOptions options;
     options.urls = {"kafka://" + address()};
-    options.rpc_timeout = std::chrono::milliseconds(1000);  // the mock never answers who makes topics
+    options.rpc_timeout = std::chrono::seconds(5);  // the mock never answers who makes topics
     return make_broker(options);
   }
   static SubscriptionOptions readers() {

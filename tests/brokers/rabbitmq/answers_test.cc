@@ -26,6 +26,7 @@ class RabbitMqAnswers : public testing::Test {
     options.urls = {proxy_.url()};
     options.properties = {{"confirm_timeout_ms", "1000"}};
     options.rpc_timeout = patience;
+    options.heartbeat = std::chrono::minutes(1);  // neither side gives the other up while the proxy holds frames back
     return make_broker(options);
   }
   static Topic topic(const std::string& name) { return {"answers", "gw.driver." + name, true}; }
@@ -178,12 +179,12 @@ TEST_F(RabbitMqAnswers, TheServerIsAskedForSixtyFourSubscriptionsAtOnceAtMost) {
   constexpr int all = 150;
   const auto broker = this->broker();
   Inbox first;
+  std::vector<std::unique_ptr<Inbox>> inboxes;
   std::vector<std::unique_ptr<Subscription>> subscriptions;
   subscriptions.push_back(broker->subscribe(topic("window.0"), {}, first.handler()));
   ASSERT_TRUE(eventually([&] { return subscriptions.front()->active(); }));
   ASSERT_EQ(proxy_.seen(AMQP_BASIC_CONSUME_METHOD), 1);
   proxy_.hold_answers();
-  std::vector<std::unique_ptr<Inbox>> inboxes;
   for (int i = 1; i <= all; ++i) {
     inboxes.push_back(std::make_unique<Inbox>());
     subscriptions.push_back(broker->subscribe(topic("window." + std::to_string(i)), {}, inboxes.back()->handler()));

@@ -33,6 +33,7 @@ class RabbitMqServer : public BrokerContract {
     rabbitmq::AmqpLinkOptions options;
     options.url = parse_broker_url(server().url());
     options.purpose = "test";
+    options.rpc_timeout = patience;
     auto link = std::make_unique<rabbitmq::AmqpLink>(options);
     link->open_channel(1);
     return link;

@@ -215,31 +215,35 @@ TEST(Http, calls_a_device_in_order_and_publishes_its_answers) {
 }
 
 TEST(Http, says_why_a_call_failed_and_which_are_lost) {
-  MockInstance calls(
-      http_plugin(),
-      {{"call_url", device().url()}, {"most_bytes", "1000"}, {"calls_waiting", "1"}, {"call_timeout_ms", "200"}});
+  const auto with_limit = [](const char* timeout_ms) {
+    return PropertyMap{
+        {"call_url", device().url()}, {"most_bytes", "1000"}, {"calls_waiting", "1"}, {"call_timeout_ms", timeout_ms}};
+  };
+  MockInstance calls(http_plugin(), with_limit("60000")), hasty(http_plugin(), with_limit("200"));
   ASSERT_TRUE(calls.start()) << calls.error();
-  const auto problem_of = [&](const std::string& path) {
-    calls.host().forget_published();
+  ASSERT_TRUE(hasty.start()) << hasty.error();
+  const auto problem_of = [](const std::string& path, MockInstance& by) {
+    by.host().forget_published();
     Message message = command("x");
     message.properties.set("path", path);
-    EXPECT_TRUE(calls.deliver("call", message));
-    EXPECT_TRUE(until_published(calls, "answers", 1));
-    return property(calls.host().published("answers")[0].message, "problem");
+    EXPECT_TRUE(by.deliver("call", message));
+    EXPECT_TRUE(until_published(by, "answers", 1));
+    return property(by.host().published("answers")[0].message, "problem");
   };
-  EXPECT_THAT(problem_of("/large"), HasSubstr("body limit"));
-  EXPECT_EQ(problem_of("/small"), "-");
+  EXPECT_THAT(problem_of("/large", calls), HasSubstr("body limit"));
+  EXPECT_EQ(problem_of("/small", calls), "-");
   device().pause();
-  EXPECT_THAT(problem_of("/slow"), HasSubstr("timeout"));
-  EXPECT_EQ(calls.host().metadata()["connection"], "away");
+  EXPECT_THAT(problem_of("/slow", hasty), HasSubstr("timeout"));
+  EXPECT_EQ(hasty.host().metadata()["connection"], "away");
+  calls.host().forget_published();
   for (int i = 0; i < 3; ++i) ASSERT_TRUE(calls.deliver("call", command("x")));
   EXPECT_EQ(calls.host().logged_count("others wait (calls_waiting)"), 1U);
   device().resume();
-  ASSERT_TRUE(until_published(calls, "answers", 3));
+  ASSERT_TRUE(until_published(calls, "answers", 2));
   device().kill();
-  EXPECT_THAT(problem_of("/gone"), HasSubstr("it cannot be reached: Connection refused"));
+  EXPECT_THAT(problem_of("/gone", calls), HasSubstr("it cannot be reached: Connection refused"));
   device().start();
-  EXPECT_EQ(problem_of("/back"), "-");
+  EXPECT_EQ(problem_of("/back", calls), "-");
   EXPECT_EQ(calls.host().metadata()["connection"], "connected");
 }
 

@@ -105,8 +105,10 @@ TEST(Exec, says_which_program_cannot_be_started) {
 
 TEST(Exec, ends_a_program_with_its_instance_by_a_signal_or_by_force) {
   const tests::TemporaryFolder folder;
-  MockInstance polite(exec(), script("trap \"echo bye > " + (folder / "bye") +
-                                     "; exit\" TERM; echo ready; while :; do read x || sleep 1000 & wait; done"));
+  PropertyMap patient = script("trap \"echo bye > " + (folder / "bye") +
+                               "; exit\" TERM; echo ready; while :; do read x || sleep 1000 & wait; done");
+  patient["grace_ms"] = "8000";
+  MockInstance polite(exec(), patient);
   ASSERT_TRUE(polite.start()) << polite.error();
   ASSERT_TRUE(until_published(polite, "received", 1));
   polite.close();

@@ -117,7 +117,11 @@ TEST_F(ProcessTest, AHostThatCrashesAtOnceAgainIsToldWithItsSignal) {
 }
 
 TEST_F(ProcessTest, AHostThatCannotBeStartedForNowIsTriedAgain) {
-  start_gateway();
+  auto patient = options();
+  patient.restart.longest = 50ms;
+  patient.restart.give_up_after = 0;  // never
+  gateway_.emplace(std::move(patient));
+  gateway_->start();
   const fs::path log = state_ / "logs/probe.log";
   fs::create_directory(log);  // as if there were no room for it
   give(quiet("a"));
@@ -290,7 +294,7 @@ TEST_F(ProcessTest, AHostStopsAnInstanceWhoseLeaseNobodyRenewsAlsoWithoutAGatewa
     return eventually([&] {
       link.renew(config::system_clock().now());
       const auto states = log.states("a");
-      return std::count(states.begin(), states.end(), DriverState::active) == times;
+      return std::count(states.begin(), states.end(), DriverState::active) >= times;
     });
   };
   StatusLog first_life, second_life;

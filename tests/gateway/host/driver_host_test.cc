@@ -599,6 +599,7 @@ TEST_F(SpooledChannelTest, WhatNobodyHasReadWhenAnInstanceEndsIsSentByItsNextLif
   EXPECT_EQ(first->payload.text(), "up");
   EXPECT_EQ(second->payload.text(), "up");
   EXPECT_LE(first->time_ms, second->time_ms);
+  ASSERT_TRUE(tests::eventually([&] { return count("iotcloud_driver_channel_waiting") == 0; })) << "it knows so";
   host_->remove("a"_instance, Removal::undeployed);
   host_.reset();
   EXPECT_FALSE(std::filesystem::exists(state_folder_ + "/spool/a")) << "nothing is left when all was sent";

@@ -110,8 +110,8 @@ TEST(EventLoop, ALoopThatIsStuckSaysSo) {
 }
 
 TEST(EventLoop, ALoopThatIsBusyWithManyCallbacksIsNotStuck) {
-  EventLoop loop("test");
   std::promise<void> begun, go_on, next, end;
+  EventLoop loop("test");
   loop.post([&] {
     begun.set_value();
     go_on.get_future().wait();

@@ -112,8 +112,8 @@ TEST_F(ProvisioningGatewayTest, is_not_frozen_by_a_registry_that_lost_what_only_
 }
 
 TEST_F(ProvisioningGatewayTest, holds_what_is_found_while_it_drains) {
-  start();
   discovery::put(*registry_, paths_.gateway_draining("gw"_gateway), encode(discovery::DrainRecord{}));
+  start();
   TestFinder::find("7");
   ASSERT_TRUE(comes_to_say(id("eye"), "found", "1", "finder"));
   EXPECT_FALSE(record(id("p-7")));

@@ -108,7 +108,7 @@ TEST_F(CliHistory, AnOrderSaysWhatItWaitsFor) {
   lab1_.behave([](const discovery::OrderRecord&) -> std::optional<FakeGateway::Report> {
     return std::pair(discovery::DriverState::starting, "its driver host crashed; it is started again in 500 ms");
   });
-  const auto started = run({"deploy", "turtle.so", "--gateway", "lab1", "--name", "slow", "--wait", "2", "-o", "json"});
+  const auto started = run({"deploy", "turtle.so", "--gateway", "lab1", "--name", "slow", "--wait", "5", "-o", "json"});
   EXPECT_EQ(started.status, 1);
   EXPECT_THAT(started.err, HasSubstr("iotcloud: waits: "));
   EXPECT_THAT(started.err, HasSubstr(" on lab1 is starting: its driver host crashed; it is started again in 500 ms"));
@@ -117,10 +117,10 @@ TEST_F(CliHistory, AnOrderSaysWhatItWaitsFor) {
   const auto slow = lab1_.orders().at(0).instance.str();
   for (const bool starts_again : {false, true}) {
     lab1_.report(slow, discovery::DriverState::failed, "no device", starts_again);
-    const auto stopped = run({"stop", slow, "--wait", "2"});
+    const auto stopped = run({"stop", slow, "--wait", "5"});
     EXPECT_EQ(stopped.err.find("is failed: no device") != std::string::npos, starts_again) << stopped.err;
   }
-  const auto silent = run({"deploy", "turtle.so", "--gateway", "lab1", "--name", "silent", "--wait", "2"});
+  const auto silent = run({"deploy", "turtle.so", "--gateway", "lab1", "--name", "silent", "--wait", "5"});
   EXPECT_THAT(silent.err, HasSubstr("iotcloud: waits: no gateway has reported on the order yet"));
 }
 

@@ -103,7 +103,7 @@ class FailedMessages : public Endpoints, public testing::WithParamInterface<std:
   }
   /// Ends the worker and starts another one: the broker delivers what was not settled.
   void start_again(const std::string& properties) {
-    workers_.back()->stop(std::chrono::seconds(5));
+    workers_.back()->stop(tests::patience);
     workers_.clear();
     run_picky(properties);
   }
@@ -322,7 +322,7 @@ TEST_F(BrokerThatIsAway, HasNoMessageOfTheSpoutAcknowledgedBeforeItsCommandIsSaf
   components.add_bolt<GateBolt>("Gate");
   Mailbox mailbox(*broker_, topic("one", "down"));
   run_yaml(
-      "topology.name: t\nruntime: {message_timeout: 3s}\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, "
+      "topology.name: t\nspouts:\n  in: {broker: rabbitmq, driver: d, channel: up, "
       "builder: text, fields: [text, driverID, time]}\n"
       "bolts:\n  gate: {class: Gate, inputs: {from: in}}\n"
       "  out: {broker: rabbitmq, driver: d, channel: down, fields: [text, driverID, time], inputs: {from: gate}}\n",

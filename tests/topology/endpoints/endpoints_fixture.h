@@ -135,7 +135,8 @@ class Endpoints : public ::testing::Test {
                           .library_folders = {},
                           .registry = registry_.get(),
                           .clock = nullptr,
-                          .metrics = &metrics_};
+                          .metrics = &metrics_,
+                          .fence = std::make_shared<StandstillFence>()};
     workers_.push_back(std::make_unique<Worker>(std::move(options)));
     workers_.back()->start(stop);
     return *workers_.back();

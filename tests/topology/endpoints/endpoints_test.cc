@@ -101,7 +101,7 @@ TEST_F(Endpoints, FinishWhatIsUnderWayWhenTheWorkerStops) {
     EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 1U);
     Gate::set(true);
   });
-  workers_.back()->stop(std::chrono::seconds(5));
+  workers_.back()->stop(tests::patience);
   opener.join();
   EXPECT_EQ(brokers::embedded::Server::named(url_.substr(11)).depth(topic("one", "up"), "t"), 0U);
 }
@@ -543,10 +543,12 @@ TEST_F(Endpoints, AStopEndsTheWaitOfAWorkerThatMustBeTheOnlyOne) {
 }
 
 TEST_F(Endpoints, RefuseAWorkerOfATopologyThatStormRunsUnderTheSameName) {
-  const std::string yaml =
-      "topology.name: t\nregistry.session_timeout: 400ms\nspouts:\n"
-      "  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], builder: text}\nbolts:\n"
-      "  gate: {class: Gate, inputs: {from: in}}\n";
+  const auto yaml = [](const std::string& session_timeout) {
+    return "topology.name: t\nregistry.session_timeout: " + session_timeout +
+           "\nspouts:\n"
+           "  in: {broker: rabbitmq, driver: d, channel: up, fields: [text, driverID, time], builder: text}\nbolts:\n"
+           "  gate: {class: Gate, inputs: {from: in}}\n";
+  };
   ComponentRegistry components;
   components.add_bolt<GateBolt>("Gate");
   discovery::ReaderRecord reader;
@@ -554,7 +556,7 @@ TEST_F(Endpoints, RefuseAWorkerOfATopologyThatStormRunsUnderTheSameName) {
   reader.engine = discovery::engine_storm;
   auto reads = registry_->hold("/iot/groups/own/d/up/members/slot-1", encode(reader));
   try {
-    run_yaml(yaml, components);
+    run_yaml(yaml("400ms"), components);
     FAIL() << "both run";
   } catch (const config::Error& error) {
     EXPECT_THAT(error.what(), AllOf(HasSubstr("t.yaml:1:1: topology.name: Apache Storm runs a topology t already"),
@@ -565,7 +567,7 @@ TEST_F(Endpoints, RefuseAWorkerOfATopologyThatStormRunsUnderTheSameName) {
     EXPECT_TRUE(eventually([&] { return log.contains("waits for the end of that one"); }));
     reads.reset();
   });
-  const Worker& second = run_yaml(yaml, components);
+  const Worker& second = run_yaml(yaml("120s"), components);
   EXPECT_FALSE(second.snapshot().tasks.empty()) << "it runs when that one has ended";
 }
 

@@ -132,6 +132,7 @@ TEST_F(Endpoints, FollowMessagesThroughTheTasksWhileSomebodyAsks) {
   EXPECT_TRUE(page_of(worker)["ways"].empty()) << "nobody had asked";
   publisher->publish(message("hello", "one", 1234));
   ASSERT_TRUE(mailbox.wait_for(2));
+  ASSERT_TRUE(eventually([&] { return worker.snapshot().component("in").acked == 2; })) << "its way has an end";
   json page;
   ASSERT_TRUE(eventually([&] {
     page = page_of(worker);
@@ -206,6 +207,8 @@ TEST_F(Endpoints, CountTheTriesOfAMessageThatIsFollowed) {
   const auto publisher = device("one");
   page_of(worker);
   publisher->publish(message("hello", "one", 1234));
+  // Before it asks, because after 2 s a page shows also a way that has no end yet.
+  ASSERT_TRUE(eventually([&] { return worker.snapshot().component("in").acked == 1; }));
   json ways = json::array();
   ASSERT_TRUE(eventually([&] {
     ways = page_of(worker)["ways"];

@@ -95,7 +95,8 @@ class Sharing : public Endpoints {
         .library_folders = {},
         .registry = registry_.get(),
         .clock = nullptr,
-        .metrics = running.metrics.get()};
+        .metrics = running.metrics.get(),
+        .fence = std::make_shared<StandstillFence>()};
     running.worker = std::make_unique<Worker>(std::move(options));
     running.worker->start();
     running_[topology] = std::move(running);

@@ -88,7 +88,7 @@ TEST_F(UnitReadersTest, WhatWasBroughtIsInHandUntilItIsSettled) {
   readers.open_missing(wanted({"a"}), open());
   EXPECT_EQ(readers.in_hand(), 0U);
   send("a");
-  EXPECT_TRUE(eventually([&] { return readers.in_hand() > 0; }));
+  ASSERT_TRUE(eventually([&] { return queue_->size() > 0; }));
   readers.drain();
   EXPECT_GT(readers.in_hand(), 0U);
   queue_->pop().arrival->delivery.settle(brokers::Settlement::accept);

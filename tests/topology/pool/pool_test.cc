@@ -33,9 +33,10 @@ struct TestPool {
       : launcher(std::make_shared<FakeLauncher>()) {
     discovery::RegistryOptions options;
     options.url = url;
-    options.session_timeout = 400ms;
+    options.session_timeout = tests::patience;  // else one that is cut off would soon have a new one by itself
     options.operation_timeout = 400ms;
     registry = discovery::make_registry(options);
+    EXPECT_TRUE(eventually([this] { return registry->session() == discovery::SessionState::connected; }));
     PoolOptions wanted;
     wanted.record = views::pool(id);
     wanted.record.state_id = state_id.empty() ? id : state_id;
@@ -45,7 +46,7 @@ struct TestPool {
     store.folder = folder + "/" + id;
     libraries = wanted.libraries = std::make_shared<processes::PluginStore>(store);
     wanted.masters = std::move(masters);
-    wanted.session_timeout = options.session_timeout;
+    wanted.session_timeout = 400ms;
     wanted.stop_limit = 1s;
     pool = std::make_unique<Pool>(std::move(wanted));
     launcher->obey();
@@ -263,6 +264,7 @@ TEST_F(PoolTest, AWorkerGoesOnWhenNoPoolCanRunItsNextVersion) {
 
 TEST_F(PoolTest, ASecondPoolOfTheSameIdIsRefused) {
   const auto one = start("p1");
+  ASSERT_TRUE(eventually([&] { return record("p1").state_id == "p1"; }));
   const auto other = make("p1", {}, "another folder");
   try {
     other->pool->start();

@@ -603,8 +603,8 @@ TEST(ReliabilityUnderThreads, AcksFromOtherThreadsAccountForEveryTuple) {
     EXPECT_TRUE(eventually([&] { return source->acked().size() + source->failed().size() == count; }));
     done = true;
   }
-  EXPECT_EQ(runtime.snapshot().component("in").pending, 0U);
   EXPECT_TRUE(runtime.stop(120s));
+  EXPECT_EQ(runtime.snapshot().component("in").pending, 0U);
 }
 
 TEST(ReliabilityUnderThreads, EveryReceiverOfATupleSettlesItsOwnDelivery) {

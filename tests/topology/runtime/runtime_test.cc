@@ -424,7 +424,7 @@ TEST(Runtime, StopAnswersInTimeWhenABoltNeverAcks) {
   runtime.start();
   source->put(Values(1));
   ASSERT_TRUE(eventually([&] { return runtime.idle(); }));
-  EXPECT_FALSE(runtime.stop(10ms));
+  EXPECT_FALSE(runtime.stop(1s));  // time for the spout to return from its last call, so that it is closed
   EXPECT_EQ(runtime.snapshot().component("in").pending, 1U);
   EXPECT_EQ(source->calls().back(), "close");
   kept.clear();

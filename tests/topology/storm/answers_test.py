@@ -156,13 +156,13 @@ class Answers(unittest.TestCase):
         self.assertEqual(done.returncode, 2)
         self.assertIn("--nimbus: it is for topologies on Apache Storm", done.stderr)
 
-    def submit(self, errors=(), reported=True):
-        """Submits a topology whose components say this as soon as it is submitted."""
+    def submit(self, errors=(), reported=True, wait="60"):
+        """Submits a topology whose components say this as soon as it is submitted. `wait`: seconds."""
         def submitted(name):
             self.nimbus.topologies[name] = topology(name, errors=list(errors), executors=[
                 ("in", 1, 2, "lab1", 6700, 1, reported), ("count", 3, 4, "lab2", 6701, 1, True)])
         self.nimbus.submitted = submitted
-        return self.run_cli("submit", self.file(ON_STORM), "--nimbus", self.nimbus.address, "--wait", "3", "-o", "json")
+        return self.run_cli("submit", self.file(ON_STORM), "--nimbus", self.nimbus.address, "--wait", wait, "-o", "json")
 
     def test_a_submission_is_answered_when_all_tasks_run(self):
         done = self.submit()
@@ -182,7 +182,7 @@ class Answers(unittest.TestCase):
         self.assertIn("t does not run: its component count says: java.lang.RuntimeException: there is no class", done.stderr)
 
     def test_tasks_that_do_not_run_in_time_are_named(self):
-        done = self.submit([("in", OF_TUPLE, 7, "lab2", 6701)], reported=False)
+        done = self.submit([("in", OF_TUPLE, 7, "lab2", 6701)], reported=False, wait="3")
         self.assertEqual(done.returncode, 1)
         self.assertIn("tasks of in do not run yet", done.stderr)
 

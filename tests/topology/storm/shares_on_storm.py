@@ -20,7 +20,6 @@ import private_server  # noqa: E402
 import storm_jar  # noqa: E402
 import versions  # noqa: E402
 from echo_on_storm import storm_program  # noqa: E402
-from faults_on_storm import storm_version  # noqa: E402
 from private_cluster import PrivateCluster, StartError, require, wait_for  # noqa: E402
 from storm import Storm  # noqa: E402
 
@@ -141,7 +140,7 @@ def main():
         return 1 if os.environ.get("CI") == "true" else SKIPPED
     if given.json:
         figures.write(given.json, "./dev test --long -R storm_tasks_share", begun,
-                      {"versions": {**versions.asked(given.build, "rabbitmq", "zookeeper"), "Storm": storm_version()}},
+                      {"versions": versions.asked(given.build, "rabbitmq", "zookeeper", "storm")},
                       figures_of(*seen))
     require(seen[1][-1] <= NEW_LIMIT_S, f"a new driver is read within {NEW_LIMIT_S:g} s: {seen[1]}")
     return 0

@@ -54,15 +54,16 @@ class WorkerControlTest : public testing::Test {
     static std::atomic<int> counter{0};
     name_ = "control-test-" + std::to_string(getpid()) + "-" + std::to_string(++counter);
     server_ = discovery::embedded::RegistryServer::named(name_);
-    registry_ = connect();
-    watcher_ = connect();
+    registry_ = connect(500ms);
+    EXPECT_TRUE(eventually([this] { return server_->sessions().size() == 1; }));  // the worker's is the first
+    watcher_ = connect(tests::patience);
   }
 
-  std::unique_ptr<discovery::Registry> connect() const {
+  std::unique_ptr<discovery::Registry> connect(std::chrono::milliseconds operation_timeout) const {
     discovery::RegistryOptions options;
     options.url = "embedded://" + name_;
     options.session_timeout = 500ms;
-    options.operation_timeout = 500ms;
+    options.operation_timeout = operation_timeout;
     return discovery::make_registry(options);
   }
 
@@ -272,7 +273,7 @@ TEST_F(WorkerControlTest, RunsAsDeclaredWhenTheRegistryIsSilentAndObeysWhenItSpe
 
 TEST_F(WorkerControlTest, HasJoinedOnlyOnceARegistryThatAnswersLateHasItsRecord) {
   ASSERT_TRUE(eventually([&] { return server_->sessions().size() == 2; })) << "so that the worker's is the last one";
-  auto late = std::make_unique<LateRegistry>(connect());
+  auto late = std::make_unique<LateRegistry>(connect(500ms));
   LateRegistry& registry = *late;
   registry_ = std::move(late);
   on_joined_ = [this] {
@@ -305,7 +306,7 @@ TEST_F(WorkerControlTest, DrainsLeavesAReportAndTheRegistryWhenKilled) {
   order(kill_of({"w1"}));
   ASSERT_TRUE(says("draining", 5));
   EXPECT_EQ(killed_, 0);
-  EXPECT_FALSE(runtime_->snapshot().active);
+  EXPECT_TRUE(eventually([&] { return !runtime_->snapshot().active; })) << "which it does after it has said so";
   {
     const std::lock_guard lock(mutex_);
     collector_->ack(kept_.front());
@@ -459,9 +460,12 @@ TEST_F(SignedTopologyOrders, ThatWereGivenBeforeTheLastOneAreOutOfDate) {
   write(signed_by(master_, given(9, false, long_ago)));  // of an earlier run of this topology
   EXPECT_TRUE(refuses(1, "out of date"));
   EXPECT_TRUE(runtime_->snapshot().active);
-  write(signed_by(master_, given(1, true)));
+  const auto last = given(1, true);
+  write(signed_by(master_, last));
   ASSERT_TRUE(says("active", 1));
-  write(signed_by(master_, given(9, false, -1000)));
+  auto earlier = given(9, false);
+  earlier.given_ms = last.given_ms - 1;
+  write(signed_by(master_, earlier));
   EXPECT_TRUE(refuses(2, "out of date"));
   EXPECT_TRUE(runtime_->snapshot().active);
   watcher_->remove(place());

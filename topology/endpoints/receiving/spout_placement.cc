@@ -99,7 +99,8 @@ SpoutPlacement::SpoutPlacement(EndpointServicesPtr services, std::string compone
                     const auto source = source_of(endpoint_, *services_);
                     services_->units->set(source, component_, own);
                     return alike_ ? services_->units->of(source) : own;
-                  }}),
+                  },
+              .longest_drain = services_->longest_drain.value_or(SpoutUnits::drain_limit)}),
       prefetch_report_(services_, component_, endpoint_.reading.own_prefetch) {}
 
 SpoutPlacement::~SpoutPlacement() = default;

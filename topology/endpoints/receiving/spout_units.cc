@@ -279,7 +279,7 @@ void SpoutUnits::close() {
 /// Begins to move a unit: drains its readers. look() ends the move.
 void SpoutUnits::move(const std::string& name, Unit& unit, Move where) {
   if (unit.move == Move::none) {
-    unit.looks_left = static_cast<int>(drain_limit / look_period);
+    unit.looks_left = static_cast<int>(options_.longest_drain / look_period);
     unit.readers.drain();
     moving_.insert(name);
   }
@@ -293,7 +293,7 @@ std::vector<SpoutUnits::EndedTopic> SpoutUnits::look() {
   return ended;
 }
 
-/// Ends the moves of units that are drained, or that were not drained within drain_limit: the broker delivers the
+/// Ends the moves of units that are drained, or that were not drained in time: the broker delivers the
 /// unsettled messages of the latter again to the next reader.
 void SpoutUnits::look_at_moves() {
   for (auto name = moving_.begin(); name != moving_.end();) {

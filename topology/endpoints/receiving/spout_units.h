@@ -56,6 +56,7 @@ class SpoutUnits {
     /// Gets the names of this spout's units, and returns those of all units that are shared out together with them;
     /// empty: no others.
     std::function<UnitNames(const UnitNames& own)> shared_together{};
+    std::chrono::milliseconds longest_drain = drain_limit;
   };
   /// When the reading of a unit ends whose last channel is gone.
   enum class End {

@@ -59,7 +59,8 @@ class AgentTest : public ::testing::Test {
     options_.driver = address_of(listener_);
     options_.token = agent_secret;
     options_.name = "rover";
-    options_.silence = 1min;  // where it is not the test's subject, a slow machine must not end a connection
+    // Where they are not the test's subject, a slow machine must not end a connection.
+    options_.silence = options_.handshake = 1min;
     options_.reconnect = 2ms;
     turtle_.watchdog = 1min;
     turtle_.make_device = [this](DriverContext&) { return Device{robot_, robot_}; };
@@ -298,7 +299,7 @@ TEST(RobotLoop, a_robot_in_the_agent_follows_the_person_by_way_of_the_driver) {
   DriverContext context(host);
   AgentOptions options;
   options.driver = driver.host().metadata().at("robot_listen");
-  options.silence = 1min;
+  options.silence = options.handshake = 1min;
   const auto turtle = read_options({{"clock", "lockstep"}, {"seed", "3"}, {"retry_ms", "60000"}}, shipped_kinds());
   Agent agent(loop, options, turtle, context);
   agent.start();

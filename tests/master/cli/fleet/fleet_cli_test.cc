@@ -52,9 +52,9 @@ TEST_F(CliFleet, AnUpdateAndAnApplySayWhatTheyWaitFor) {
     return std::pair(discovery::DriverState::starting, "its device does not answer");
   });
   const std::string waits = " on lab1 is starting: its device does not answer";
-  EXPECT_THAT(run({"update", "--name", "slow", "--property", "rate=2", "--wait", "2"}).err, HasSubstr(waits));
+  EXPECT_THAT(run({"update", "--name", "slow", "--property", "rate=2", "--wait", "5"}).err, HasSubstr(waits));
   write("  fresh: {plugin: meter.so, gateways: [lab1]}\n");
-  const auto applied = apply({"--wait", "2"});
+  const auto applied = apply({"--wait", "5"});
   EXPECT_EQ(applied.status, 1);
   EXPECT_THAT(applied.err, HasSubstr(waits));
   EXPECT_EQ(applied.err.find("waits"), applied.err.rfind("waits")) << "not of instances that it does not change";
