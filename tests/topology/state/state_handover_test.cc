@@ -61,6 +61,15 @@ class StateHandover : public Endpoints {
     return all;
   }
 
+  /// Whether each driver has as many in two stores together: copies may have come back before all was written.
+  static bool are_counted(std::int64_t each, std::map<std::string, std::int64_t> one,
+                          std::map<std::string, std::int64_t> other) {
+    for (int i = 0; i < drivers; ++i) {
+      if (one[id(i)] + other[id(i)] < each) return false;
+    }
+    return true;
+  }
+
   using milliseconds = std::chrono::milliseconds;
   std::map<std::string, std::unique_ptr<brokers::Publisher>> devices_;
   std::map<std::string, std::unique_ptr<Mailbox>> mailboxes_;
