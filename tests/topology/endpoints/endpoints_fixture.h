@@ -16,6 +16,7 @@
 #include <iotcloud/discovery/registry.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/eventually.h>
+#include <iotcloud/topology/endpoints/standstill_fence.h>
 #include <iotcloud/topology/worker/worker.h>
 
 namespace iotcloud::topology {

@@ -9,6 +9,7 @@
 #include <iotcloud/brokers/embedded/server.h>
 #include <iotcloud/tests/discovery/id_literals.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
+#include <iotcloud/topology/endpoints/standstill_fence.h>
 
 namespace iotcloud::topology {
 namespace {

@@ -16,6 +16,7 @@
 #include <iotcloud/tests/servers/private_server.h>
 #include <iotcloud/tests/topology/endpoints/endpoints_fixture.h>
 #include <iotcloud/topology/endpoints/placement/reading_group.h>
+#include <iotcloud/topology/endpoints/standstill_fence.h>
 
 namespace iotcloud::topology {
 namespace {
