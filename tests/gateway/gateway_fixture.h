@@ -59,6 +59,14 @@ class GatewayFixture : public ::testing::Test {
     gateway_->start();
   }
 
+  /// Waits until the gateway has read what it found at its start: the epoch of an order counts from then on.
+  void wait_until_it_has_begun() {
+    std::atomic<bool> heard{false};
+    const auto behind_its_own = registry_->on_session([&](discovery::SessionState) { heard = true; });
+    EXPECT_TRUE(eventually([&] { return heard.load(); }));
+    EXPECT_NE(gateway_->ask({}, tests::patience).problem, "") << "behind what its listener has given to its loop";
+  }
+
   discovery::OrderRecord order(const std::string& instance, std::map<std::string, std::string> properties = {}) const {
     discovery::OrderRecord order;
     order.instance = discovery::InstanceId(instance);

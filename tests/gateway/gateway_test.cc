@@ -231,6 +231,7 @@ TEST_F(GatewayTest, AnOrderOfAnOlderEpochIsIgnored) {
   newer.epoch = 7;
   give(newer);
   ASSERT_TRUE(comes_to("a", DriverState::active));
+  wait_until_it_has_begun();
   auto older = newer;
   older.epoch = 6;
   older.active = false;

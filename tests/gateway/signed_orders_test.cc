@@ -194,6 +194,7 @@ TEST_F(SignedOrders, OfAnEarlierEpochAreOutOfDate) {
   late.epoch = 7;
   give_signed(late);
   ASSERT_TRUE(comes_to("a", DriverState::active));
+  wait_until_it_has_begun();
   auto replayed = given("b");
   replayed.epoch = 6;
   give_signed(replayed);

@@ -116,6 +116,7 @@ def check_rebalance(control):
 
 def check_tap(control):
     control.load(15)
+    at_sink = subprocess.Popen(control.command("tap", "echo", "send"), stdout=subprocess.PIPE, text=True)
     out = subprocess.run(control.command("tap", "echo", "receive", "--count", "3", "-o", "json"), capture_output=True,
                          text=True, timeout=120)
     samples = [json.loads(line) for line in out.stdout.splitlines()]
@@ -127,12 +128,11 @@ def check_tap(control):
     require(status == 1 and "recieve" in complaint, complaint)
 
     # At a sink the tap shows the input; Ctrl-C ends it in order.
-    tap = subprocess.Popen(control.command("tap", "echo", "send"), stdout=subprocess.PIPE, text=True)
-    line = tap.stdout.readline()
+    line = at_sink.stdout.readline()
     require("receive/default" in line and "driverID=" in line, line)
-    tap.send_signal(signal.SIGINT)
-    tap.communicate(timeout=120)
-    require(tap.returncode == 0, f"tap ended with {tap.returncode} at Ctrl-C")
+    at_sink.send_signal(signal.SIGINT)
+    at_sink.communicate(timeout=120)
+    require(at_sink.returncode == 0, f"tap ended with {at_sink.returncode} at Ctrl-C")
 
 
 def check_counts(control, cluster):

@@ -597,7 +597,8 @@ class RendezvousRedis {
         client->asked.clear();
         waiting_.insert(client);
       }
-      if (waiting_.size() > 1) {
+      if (waiting_.size() > 1) have_met_ = true;
+      if (have_met_) {
         for (const auto& each : waiting_) answer(*each, "*2\r\n$-1\r\n$-1\r\n");
         waiting_.clear();
       }
@@ -612,6 +613,7 @@ class RendezvousRedis {
   boost::asio::io_context io_;
   boost::asio::ip::tcp::acceptor acceptor_;
   std::set<std::shared_ptr<Client>> waiting_;  ///< for the answer to a claim
+  bool have_met_ = false;                      ///< two have waited together: from then on nobody waits
   std::thread thread_;
 };
 
