@@ -42,11 +42,13 @@ class GatewayWithSite {
     gateway_.emplace(options);
     gateway_->start();
     access_.rules = gateway::SiteService::rules();
+    site_.outcome_limit = std::chrono::milliseconds(100);
+    site_.log_folder = "/nonexistent";
     service_ = [this](const std::shared_ptr<rpc::ThriftPeer>& peer) {
       auto session = std::make_shared<rpc::CallerSession>(access_, peer);
       return rpc::guarded(
-          std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(std::make_shared<gateway::SiteHandler>(
-              std::chrono::milliseconds(100), "/nonexistent", *gateway_, *registry_, discovery::Paths(), session)),
+          std::make_shared<gateway::wire::TSensorSiteServiceProcessor>(
+              std::make_shared<gateway::SiteHandler>(site_, *gateway_, *registry_, discovery::Paths(), session)),
           session);
     };
   }
@@ -85,6 +87,7 @@ class GatewayWithSite {
   std::unique_ptr<discovery::Registry> registry_ = fresh_registry();
   std::optional<gateway::Gateway> gateway_;
   rpc::AccessOptions access_;
+  gateway::SiteService::Options site_;
   rpc::ThriftService service_;
 };
 
