@@ -51,7 +51,19 @@ RedisServer server_of(const std::string& url, std::string_view text) {
   return server;
 }
 
+std::chrono::milliseconds limit_of(const RedisAddress& address, std::string_view text) {
+  constexpr int least = 10, most = 600'000;
+  const auto limit = config::parse_number<int>(text);
+  if (!limit || *limit < least || *limit > most)
+    throw unusable(address.text, "answer_limit_ms takes a number from 10 to 600000, not \"" + std::string(text) + "\"");
+  return std::chrono::milliseconds(*limit);
+}
+
 void read_option(RedisAddress& address, std::string_view name, std::string_view value) {
+  if (name == "answer_limit_ms") {
+    address.answer_limit = limit_of(address, value);
+    return;
+  }
   const std::pair<std::string_view, std::string*> options[] = {{"password_file", &address.password_file},
                                                                {"password_variable", &address.password_variable},
                                                                {"ca_file", &address.ca_file},
@@ -66,7 +78,7 @@ void read_option(RedisAddress& address, std::string_view name, std::string_view 
   }
   throw unusable(address.text, "it has no option \"" + std::string(name) +
                                    "\"; there are password_file, password_variable, ca_file, certificate_file, "
-                                   "key_file, revoked_file and prefix");
+                                   "key_file, revoked_file, prefix and answer_limit_ms");
 }
 
 /// Refuses a prefix that could be mistaken for the beginning of another one's keys.

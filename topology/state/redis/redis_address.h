@@ -1,5 +1,6 @@
 #pragma once
 
+#include <chrono>
 #include <cstdint>
 #include <string>
 #include <vector>
@@ -25,6 +26,7 @@ struct RedisAddress {
   std::string key_file;
   std::string revoked_file;  ///< servers that are not to be trusted: lists of revocations; empty: none
   std::string prefix;        ///< keeps this system's keys apart from those of another one; empty: none
+  std::chrono::milliseconds answer_limit{2000};  ///< for connecting, and for each answer
 };
 
 /// Reads a URL, and refuses one whose servers others on the network could impersonate or listen to: beyond loopback it

@@ -11,7 +11,6 @@ namespace {
 
 constexpr config::Logger state_logger{"topology.state"};
 
-constexpr std::chrono::milliseconds answer_limit{2000};
 /// How long the pool does not ask a server again after a failure, so that a task does not wait for each of its tuples.
 constexpr std::chrono::milliseconds redis_pause{200};
 /// How often make_sure() asks the server.
@@ -162,7 +161,7 @@ std::unique_ptr<RedisConnection> RedisPool::open_master(const std::vector<RedisS
     std::unique_ptr<RedisConnection> connection;
     std::string id;
     try {
-      connection = std::make_unique<RedisConnection>(address_, server, answer_limit, trust_);
+      connection = std::make_unique<RedisConnection>(address_, server, address_.answer_limit, trust_);
       id = greet(*connection);
     } catch (const StateUnavailable& error) {
       problems += (problems.empty() ? "" : "; ") + std::string(error.what());
