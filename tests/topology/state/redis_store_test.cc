@@ -40,15 +40,15 @@ tests::PrivateServer& redis() {
 }
 
 /// For tests in which a server that a busy machine lets answer late is no server that is away.
-std::string patient(const std::string& url) {
-  return url + (url.find('?') == std::string::npos ? "?" : "&") + "answer_limit_ms=120000";
+std::string patient(const std::string& url, const std::string& limit_ms = "120000") {
+  return url + (url.find('?') == std::string::npos ? "?" : "&") + "answer_limit_ms=" + limit_ms;
 }
 
 class RedisState : public testing::Test {
  protected:
   /// One task, as in another process.
-  KeyValueState task(int index = 0, int count = 2) const {
-    return {make_state_store(patient(redis().url())), StateOwner{topology_, "count", index, count}};
+  KeyValueState task(int index = 0, int count = 2, const std::string& limit_ms = "120000") const {
+    return {make_state_store(patient(redis().url(), limit_ms)), StateOwner{topology_, "count", index, count}};
   }
 
  private:
@@ -147,7 +147,7 @@ TEST_F(RedisState, ACallThatFailedIsUndoneAndNotWhatCameBeforeIt) {
 }
 
 TEST_F(RedisState, ACheckpointWithoutAnAnswerIsMadeAgainAndCountsOnce) {
-  KeyValueState state = task();
+  KeyValueState state = task(0, 2, "4000");
   state.put_int("a", state.get_int("a") + 1);
   state.put("erased", "1");
   state.checkpoint();
