@@ -75,7 +75,8 @@ int main(int count, char** words) {
     return std::all_of(subscriptions.begin(), subscriptions.end(), [](const auto& one) { return one->active(); });
   };
   while (signal < 0 && !all_read()) signal = sigtimedwait(&ends, nullptr, &pause);
-  std::ofstream(std::string(words[1]) + "/reading");
+  std::ofstream mark(std::string(words[1]) + "/reading");
+  mark.close();
   if (signal < 0) sigwait(&ends, &signal);
   subscriptions.clear();
   return 0;
