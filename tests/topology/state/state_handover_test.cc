@@ -94,7 +94,7 @@ TEST_F(StateHandover, WhatAWorkerKnewOfADriverStaysInItsStoreAndTheNextWorkerBeg
     return counts(second).size() >= drivers / 2;
   }));
   ASSERT_TRUE(all_back(static_cast<std::size_t>(rounds)));
-  ASSERT_TRUE(eventually([&] { return are_counted(rounds * messages, counts(first), counts(second)); }));
+  ASSERT_TRUE(eventually([&] { return are_counted(std::int64_t{rounds} * messages, counts(first), counts(second)); }));
   workers_.clear();  // with the last checkpoints
 
   const auto then = counts(first);
