@@ -72,8 +72,8 @@ class Membership {
   const Options options_;
   discovery::GatewayRecord record_;
   const std::string identity_;  ///< data of the ephemeral node, JSON
-  std::optional<config::Clock::Instant>
-      first_taken_;  ///< when the registry first said so; nullopt: not since it was away
+  /// When the registry first answered `taken`; nullopt: it has not since it was away.
+  std::optional<config::Clock::Instant> first_taken_;
   bool must_be_another_ = false;
   std::string holder_address_;
   std::string problem_;
